@@ -1,0 +1,340 @@
+"""Scene files: TOML becomes one merged triangle mesh, materials, area lights and a camera."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh.transformations import identity_matrix, translation_matrix
+
+from ncv_cl import scene_geometry
+from ncv_cl.scene_data import Camera, Material, QuadLight, Scene
+from ncv_cl.scene_geometry import SMALLEST_ROUGHNESS, Mesh
+from ncv_cl.scene_table import SceneError, Table
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["Camera", "Material", "QuadLight", "Scene", "SceneError", "load_scene"]
+
+_SCENE_KEYS = (
+    "name",
+    "camera",
+    "materials",
+    "quads",
+    "polygons",
+    "boxes",
+    "spheres",
+    "meshes",
+    "lights",
+)
+# The float32 grid gets this much coarser, relative to the scene, before it is worth a warning.
+_FAR_FROM_ORIGIN = 1e4
+# For mesh files without materials, such as STL.
+_FALLBACK_ALBEDO = 0.5
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file; mesh files in it are relative to its folder.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        If the file or a mesh file is missing or cannot be read, a key is unknown or missing, or a
+        value has the wrong type, is not finite or is out of range. Names file, key and index.
+
+    Warns
+    -----
+    UserWarning
+        Where triangles without area were dropped, a mesh has no material or the scene lies so far
+        from the origin that single precision blurs it; also kept in `Scene.warnings`.
+    """
+    path = Path(path)
+    root = Table(path, "", _read_toml(path), _SCENE_KEYS)
+    camera = _read_camera(root)
+    assembly = _Assembly(_read_materials(root))
+    _add_primitives(root, assembly)
+    _add_mesh_files(root, assembly)
+    lights = _add_lights(root, assembly)
+    scene = assembly.scene(root.text("name", path.stem), path, camera, lights)
+    for warning in scene.warnings:
+        warnings.warn(warning, stacklevel=2)
+    return scene
+
+
+class _Assembly:
+    """The merged mesh as it grows."""
+
+    def __init__(self, materials: list[Material]) -> None:
+        self.materials = materials
+        self._material_index = {material.name: i for i, material in enumerate(materials)}
+        self._meshes: list[Mesh] = []
+        self._triangle_material: list[NDArray[np.int32]] = []
+        self._triangle_light: list[NDArray[np.int32]] = []
+        self._n_vertices = 0
+        self.warnings: list[str] = []
+
+    def named_material(self, table: Table) -> int:
+        name = table.text("material")
+        if name not in self._material_index:
+            known = ", ".join(self._material_index) or "none"
+            raise table.error("material", f"unknown material {name!r}; known materials: {known}")
+        return self._material_index[name]
+
+    def new_material(self, material: Material) -> int:
+        self.materials.append(material)
+        return len(self.materials) - 1
+
+    def warn(self, table: Table, key: str, message: str) -> None:
+        self.warnings.append(str(table.error(key, message)))
+
+    def add(self, table: Table, key: str, mesh: Mesh, material: int, light: int = -1) -> None:
+        """Append a mesh that `table` describes, without its degenerate triangles."""
+        n_triangles = len(mesh.triangles)
+        try:
+            mesh, dropped = scene_geometry.drop_degenerate(mesh)
+        except ValueError as error:
+            raise table.error(key, str(error)) from error
+        if dropped == n_triangles:
+            raise table.error(key, "has no area: all its triangles are degenerate")
+        if dropped:
+            message = f"dropped {dropped} degenerate of {n_triangles} triangles (they have no area)"
+            self.warn(table, key, message)
+        self._meshes.append(Mesh(mesh.vertices, mesh.normals, mesh.triangles + self._n_vertices))
+        self._n_vertices += len(mesh.vertices)
+        count = len(mesh.triangles)
+        self._triangle_material.append(np.full(count, material, dtype=np.int32))
+        self._triangle_light.append(np.full(count, light, dtype=np.int32))
+
+    def scene(self, name: str, path: Path, camera: Camera, lights: list[QuadLight]) -> Scene:
+        if not self._meshes:
+            raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
+        vertices = np.concatenate([mesh.vertices for mesh in self._meshes]).astype(np.float32)
+        # float64: the extent of a scene far from the origin must not be rounded itself.
+        extent = np.ptp(vertices.astype(np.float64), axis=0).max()
+        if np.abs(vertices).max() > _FAR_FROM_ORIGIN * extent:
+            self.warnings.append(
+                f"{path}: the scene lies more than {_FAR_FROM_ORIGIN:g} times its size from the "
+                "origin, where single precision is coarse; move it closer"
+            )
+        normals = np.concatenate([mesh.normals for mesh in self._meshes]).astype(np.float32)
+        triangles = np.concatenate([mesh.triangles for mesh in self._meshes]).astype(np.uint32)
+        triangle_material = np.concatenate(self._triangle_material)
+        triangle_light = np.concatenate(self._triangle_light)
+        for array in (vertices, normals, triangles, triangle_material, triangle_light):
+            array.setflags(write=False)
+        return Scene(
+            name=name,
+            path=path,
+            camera=camera,
+            materials=tuple(self.materials),
+            lights=tuple(lights),
+            vertices=vertices,
+            vertex_normals=normals,
+            triangles=triangles,
+            triangle_material=triangle_material,
+            triangle_light=triangle_light,
+            warnings=tuple(self.warnings),
+        )
+
+
+def _read_toml(path: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read the scene file: {error.strerror}") from error
+    except ValueError as error:  # TOML syntax, which carries its line, or text that is not UTF-8
+        raise SceneError(f"{path}: not a TOML file: {error}") from error
+
+
+def _read_camera(root: Table) -> Camera:
+    keys = ("position", "target", "up", "vertical_fov")
+    table = Table(root.file, "camera", root.raw("camera"), keys)
+    position, target = table.vector("position"), table.vector("target")
+    up = table.vector("up", (0.0, 1.0, 0.0))
+    forward = target - position
+    if np.linalg.norm(forward) <= 1e-12 * np.abs(position).max():
+        raise table.error("target", "is the same point as camera.position")
+    sine = np.linalg.norm(np.cross(forward, up))
+    if not sine > 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
+        raise table.error("up", "is zero or parallel to the view direction")
+    vertical_fov = table.number("vertical_fov")
+    if not 0.0 < vertical_fov < 180.0:
+        message = f"{vertical_fov} is out of range; it must be between 0 and 180 degrees"
+        raise table.error("vertical_fov", message)
+    return Camera(position, target, up, vertical_fov)
+
+
+def _read_materials(root: Table) -> list[Material]:
+    if "materials" not in root:
+        return []
+    names = root.raw("materials")
+    if not isinstance(names, dict):
+        raise root.error("materials", "expected tables [materials.NAME]")
+    materials = []
+    for name, data in names.items():
+        where = f"materials.{name}"
+        table = Table(root.file, where, data, ("albedo", "reflectance", "roughness"))
+        albedo = table.colour("albedo", high=1.0)
+        reflectance = table.colour("reflectance", default=0.0, high=1.0)
+        roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
+        materials.append(Material(name, albedo, reflectance, roughness))
+    return materials
+
+
+def _add_primitives(root: Table, assembly: _Assembly) -> None:
+    for table in root.tables("quads", ("corner", "edge1", "edge2", "material")):
+        corners = (table.vector(key) for key in ("corner", "edge1", "edge2"))
+        mesh = scene_geometry.quad_mesh(*corners)
+        assembly.add(table, "", mesh, assembly.named_material(table))
+    for table in root.tables("polygons", ("vertices", "material")):
+        vertices = table.raw("vertices")
+        if not isinstance(vertices, list) or len(vertices) < 3:
+            raise table.error("vertices", "expected a list of at least 3 points")
+        points = [table.vector_value(f"vertices[{i}]", v) for i, v in enumerate(vertices)]
+        try:
+            mesh = scene_geometry.polygon_mesh(np.stack(points))
+        except ValueError as error:
+            raise table.error("vertices", str(error)) from error
+        assembly.add(table, "vertices", mesh, assembly.named_material(table))
+    for table in root.tables("boxes", ("min", "max", "center", "size", "rotate", "material")):
+        assembly.add(table, "", _read_box(table), assembly.named_material(table))
+    for table in root.tables("spheres", ("center", "radius", "material", "subdivisions")):
+        radius = table.number("radius")
+        if not radius > 0.0:
+            raise table.error("radius", f"{radius} is out of range; it must be positive")
+        subdivisions = table.integer("subdivisions", 3, 0, 7)
+        mesh = scene_geometry.sphere_mesh(table.vector("center"), radius, subdivisions)
+        assembly.add(table, "", mesh, assembly.named_material(table))
+
+
+def _read_box(table: Table) -> Mesh:
+    corners, centred = ("min", "max"), ("center", "size")
+    first, second = centred if any(key in table for key in centred) else corners
+    for key in corners:
+        if first == "center" and key in table:
+            raise table.error(key, "give either min and max or center and size, not both")
+    if first == "center":
+        centre, size = table.vector("center"), table.vector("size")
+    else:
+        low, high = table.vector("min"), table.vector("max")
+        centre, size = 0.5 * (low + high), high - low
+    if not size.min() > 0.0:
+        raise table.error(second, "the box must have a positive size along every axis")
+    return scene_geometry.box_mesh(centre, size, _read_rotation(table))
+
+
+def _read_rotation(table: Table) -> NDArray[np.float64]:
+    """The key ``rotate``: [x, y, z] Euler degrees, or an axis and an angle in degrees."""
+    if "rotate" not in table:
+        return identity_matrix()
+    value = table.raw("rotate")
+    if not isinstance(value, dict):
+        return scene_geometry.euler_angles(table.vector("rotate"))
+    where = f"{table.where}.rotate"
+    rotation = Table(table.file, where, value, ("axis", "angle"))
+    axis = rotation.vector("axis")
+    if not np.any(axis):
+        raise rotation.error("axis", "the axis of rotation is zero")
+    return scene_geometry.axis_angle(axis, rotation.number("angle"))
+
+
+def _read_transform(table: Table) -> NDArray[np.float64]:
+    """A mesh's placement: ``transform``, or ``scale``, then ``rotate``, then ``translate``."""
+    if "transform" in table:
+        for key in ("translate", "scale", "rotate"):
+            if key in table:
+                raise table.error(key, "cannot be combined with transform; give one or the other")
+        transform = table.matrix("transform")
+        if not scene_geometry.is_invertible(transform):
+            raise table.error("transform", "is singular: it would flatten the mesh")
+        return transform
+    if "scale" in table and isinstance(table.raw("scale"), list):
+        factors = table.vector("scale")
+    else:
+        factors = np.full(3, table.number("scale", 1.0))
+    if not np.all(factors):
+        raise table.error("scale", "is zero: it would flatten the mesh")
+    translation = translation_matrix(table.vector("translate", (0.0, 0.0, 0.0)))
+    return np.asarray(translation @ _read_rotation(table) @ np.diag([*factors, 1.0]))
+
+
+def _add_mesh_files(root: Table, assembly: _Assembly) -> None:
+    keys = ("file", "material", "translate", "scale", "rotate", "transform", "smooth")
+    for table in root.tables("meshes", keys):
+        file = root.file.parent / table.text("file")
+        transform = _read_transform(table)
+        material = assembly.named_material(table) if "material" in table else None
+        smooth = table.flag("smooth", None)
+        try:
+            found = scene_geometry.read_meshes(file, transform, smooth)
+        except ValueError as error:
+            raise table.error("file", f"{file.name}: {error}") from error
+        from_file: dict[scene_geometry.FileMaterial | None, int] = {}
+        for item in found:
+            index = material
+            if index is None:
+                if item.material not in from_file:
+                    from_file[item.material] = assembly.new_material(
+                        _material_of_file(table, item.material, file.name, assembly)
+                    )
+                index = from_file[item.material]
+            assembly.add(table, f"file: {file.name}", item.mesh, index)
+
+
+def _material_of_file(
+    table: Table,
+    found: scene_geometry.FileMaterial | None,
+    file_name: str,
+    assembly: _Assembly,
+) -> Material:
+    if found is None:
+        message = (
+            f"{file_name}: no material could be read; using a grey of albedo {_FALLBACK_ALBEDO:g} "
+            "(the key material sets another)"
+        )
+        assembly.warn(table, "file", message)
+        albedo = np.full(3, _FALLBACK_ALBEDO, dtype=np.float32)
+        return Material(file_name, albedo, np.zeros(3, dtype=np.float32), 1.0)
+    return Material(
+        name=f"{file_name}:{found.name}",
+        albedo=np.array(found.albedo, dtype=np.float32),
+        reflectance=np.array(found.reflectance, dtype=np.float32),
+        roughness=found.roughness,
+    )
+
+
+def _add_lights(root: Table, assembly: _Assembly) -> list[QuadLight]:
+    """Read the lights and append their triangles, in the order of the lights, to the mesh."""
+    lights = []
+    tables = root.tables("lights", ("corner", "edge1", "edge2", "radiance", "two_sided"))
+    black = np.zeros(3, dtype=np.float32)
+    material = assembly.new_material(Material("light", black, black, 1.0)) if tables else -1
+    for index, table in enumerate(tables):
+        corner, edge1, edge2 = (table.vector(key) for key in ("corner", "edge1", "edge2"))
+        for key, edge in (("edge1", edge1), ("edge2", edge2)):
+            if not np.any(edge):
+                raise table.error(key, "light has no area (the edge has no length)")
+        area = np.linalg.norm(np.cross(edge1, edge2))
+        if area <= 1e-6 * np.linalg.norm(edge1) * np.linalg.norm(edge2):
+            raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
+        mesh = scene_geometry.quad_mesh(corner, edge1, edge2)
+        assembly.add(table, "", mesh, material, light=index)
+        single = (vector.astype(np.float32) for vector in (corner, edge1, edge2))
+        two_sided = bool(table.flag("two_sided", False))
+        lights.append(QuadLight(*single, table.colour("radiance"), two_sided))
+    return lights

@@ -1,0 +1,150 @@
+"""What a scene is: camera, materials, quad lights and one merged triangle mesh."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    The picture's axes are right-handed: right = normalize(cross(forward, up)) with
+    forward = target - position, so looking along +z with up +y the x axis points left.
+
+    Attributes
+    ----------
+    position, target, up : float64 (3,)
+        World space; `up` need not be perpendicular to the view direction.
+    vertical_fov : float
+        Full vertical field of view in degrees, in (0, 180).
+    """
+
+    position: NDArray[np.float64]
+    target: NDArray[np.float64]
+    up: NDArray[np.float64]
+    vertical_fov: float
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """A two-sided opaque surface: Lambert plus an optional GGX lobe.
+
+    Attributes
+    ----------
+    name : str
+    albedo : float32 (3,)
+        Diffuse reflectance, linear RGB in [0, 1].
+    reflectance : float32 (3,)
+        Specular reflectance at normal incidence in [0, 1]; 0 means no specular lobe.
+    roughness : float
+        In [0.01, 1]; the GGX alpha is roughness**2.
+    """
+
+    name: str
+    albedo: NDArray[np.float32]
+    reflectance: NDArray[np.float32]
+    roughness: float
+
+
+@dataclass(frozen=True, eq=False)
+class QuadLight:
+    """A parallelogram that emits the same radiance everywhere and in every direction.
+
+    Attributes
+    ----------
+    corner, edge1, edge2 : float32 (3,)
+        Its points are corner + u * edge1 + v * edge2 with u, v in [0, 1]; world space.
+    radiance : float32 (3,)
+        Linear RGB.
+    two_sided : bool
+        Whether it emits from the back as well.
+    """
+
+    corner: NDArray[np.float32]
+    edge1: NDArray[np.float32]
+    edge2: NDArray[np.float32]
+    radiance: NDArray[np.float32]
+    two_sided: bool
+
+    @property
+    def normal(self) -> NDArray[np.float32]:
+        """Unit normal of the emitting side, cross(edge1, edge2) normalised; float32 (3,)."""
+        vector = self._vector_area()
+        return (vector / np.linalg.norm(vector)).astype(np.float32)
+
+    @property
+    def area(self) -> float:
+        """Area of one side, in square scene units."""
+        return float(np.linalg.norm(self._vector_area()))
+
+    def _vector_area(self) -> NDArray[np.float64]:
+        return np.cross(self.edge1.astype(np.float64), self.edge2.astype(np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that is rendered: one merged triangle mesh in world space, surfaces, lights, camera.
+
+    The arrays are read-only. Every light is also part of the mesh, as its last triangles.
+
+    Attributes
+    ----------
+    name : str
+    path : Path or None
+        The file the scene was read from.
+    camera : Camera
+    materials : tuple of Material
+        Those of the scene file in order, then those of mesh files, then a black one for lights.
+    lights : tuple of QuadLight
+        May be empty: ambient occlusion needs none.
+    vertices : float32 (n_vertices, 3)
+    vertex_normals : float32 (n_vertices, 3)
+        Unit shading normals; all zero where the triangle's own normal is to be used.
+    triangles : uint32 (n_triangles, 3)
+    triangle_material : int32 (n_triangles,)
+        Index into `materials`.
+    triangle_light : int32 (n_triangles,)
+        Index into `lights`, or -1.
+    warnings : tuple of str
+        What the reader put right, such as dropped triangles.
+    """
+
+    name: str
+    path: Path | None
+    camera: Camera
+    materials: tuple[Material, ...]
+    lights: tuple[QuadLight, ...]
+    vertices: NDArray[np.float32]
+    vertex_normals: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+    triangle_material: NDArray[np.int32]
+    triangle_light: NDArray[np.int32]
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def bounds(self) -> NDArray[np.float32]:
+        """Smallest and largest coordinates, float32 (2, 3)."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256, in hex, of everything that affects the image; names and paths do not."""
+        digest = hashlib.sha256()
+        for part in (self.camera, *self.materials, *self.lights, self):
+            digest.update(type(part).__name__.encode())
+            for field in fields(part):
+                value = getattr(part, field.name)
+                if isinstance(value, (float, np.ndarray)):
+                    array = np.asarray(value)
+                    digest.update(f"{field.name}{array.dtype}{array.shape}".encode())
+                    digest.update(array.tobytes())
+                elif isinstance(value, bool):
+                    digest.update(f"{field.name}{value}".encode())
+        return digest.hexdigest()

@@ -1,0 +1,162 @@
+"""Checked access to the tables of a scene file: every error names file, key and index."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class SceneError(ValueError):
+    """A scene cannot be used as it is; the message names the file, the key and the index."""
+
+
+class Table:
+    """One TOML table whose values are read with their type and range checked.
+
+    Parameters
+    ----------
+    file : Path
+        The scene file, for error messages.
+    where : str
+        The table's place in the file, such as ``lights[1]``; empty for the top level.
+    data : object
+        What the TOML reader returned for that place.
+    keys : collection of str
+        The keys that may occur.
+
+    Raises
+    ------
+    SceneError
+        If `data` is no table or has a key that is not in `keys`.
+    """
+
+    def __init__(self, file: Path, where: str, data: object, keys: Collection[str]) -> None:
+        self.file = file
+        self.where = where
+        if not isinstance(data, dict):
+            raise SceneError(f"{file}: {where}: expected a table, got {_describe(data)}")
+        self._data: dict[str, Any] = data
+        for key in data:
+            if key not in keys:
+                near = difflib.get_close_matches(key, keys, n=1, cutoff=0.0)
+                raise self.error(key, f"unknown key; did you mean {near[0]!r}?")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._data
+
+    def error(self, key: str, message: str) -> SceneError:
+        """A `SceneError` that says where `key` stands; the caller raises it."""
+        place = ".".join(part for part in (self.where, key) if part)
+        return SceneError(f"{self.file}: {place}: {message}")
+
+    def raw(self, key: str) -> Any:
+        """The value of a required key, unchecked."""
+        if key not in self._data:
+            raise self.error(key, "is missing; it is required")
+        return self._data[key]
+
+    def tables(self, key: str, keys: Collection[str]) -> list[Table]:
+        """An array of tables (``[[key]]``), empty if absent; each may hold `keys`."""
+        entries = self._data.get(key, [])
+        if not isinstance(entries, list):
+            raise self.error(key, f"expected an array of tables [[{key}]]")
+        return [Table(self.file, f"{key}[{i}]", entry, keys) for i, entry in enumerate(entries)]
+
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+    ) -> float:
+        """A finite number in [`low`, `high`]; required if there is no default."""
+        if key not in self and default is not None:
+            return default
+        return self._checked(key, self.raw(key), low, high)
+
+    def integer(self, key: str, default: int, low: int, high: int) -> int:
+        """An integer in [`low`, `high`]."""
+        value = self._data.get(key, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self.error(key, f"expected an integer from {low} to {high}, got {value!r}")
+        return value
+
+    def vector(self, key: str, default: tuple[float, ...] | None = None) -> NDArray[np.float64]:
+        """Three finite numbers, float64 (3,)."""
+        if key not in self and default is not None:
+            return np.array(default, dtype=np.float64)
+        return self.vector_value(key, self.raw(key))
+
+    def vector_value(self, key: str, value: object) -> NDArray[np.float64]:
+        """Check three numbers that were found inside another value, named `key` in errors."""
+        if not isinstance(value, list) or len(value) != 3:
+            raise self.error(key, f"expected 3 numbers [x, y, z], got {_describe(value)}")
+        return np.array([self._checked(f"{key}[{i}]", v) for i, v in enumerate(value)])
+
+    def colour(
+        self,
+        key: str,
+        default: float | None = None,
+        high: float = math.inf,
+    ) -> NDArray[np.float32]:
+        """A number or three, each in [0, `high`]: linear RGB, float32 (3,)."""
+        value = self.raw(key) if default is None else self._data.get(key, default)
+        if not isinstance(value, list):
+            return np.full(3, self._checked(key, value, 0.0, high), dtype=np.float32)
+        if len(value) != 3:
+            raise self.error(key, f"expected a number or 3 numbers, got {_describe(value)}")
+        channels = [self._checked(f"{key}[{i}]", v, 0.0, high) for i, v in enumerate(value)]
+        return np.array(channels, dtype=np.float32)
+
+    def matrix(self, key: str) -> NDArray[np.float64]:
+        """An affine 4x4 matrix as four rows, for column vectors; float64 (4, 4)."""
+        rows = self.raw(key)
+        if not (isinstance(rows, list) and len(rows) == 4) or not all(
+            isinstance(row, list) and len(row) == 4 for row in rows
+        ):
+            raise self.error(key, f"expected 4 rows of 4 numbers, got {_describe(rows)}")
+        matrix = np.array(
+            [
+                [self._checked(f"{key}[{i}][{j}]", v) for j, v in enumerate(row)]
+                for i, row in enumerate(rows)
+            ]
+        )
+        if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+            raise self.error(f"{key}[3]", "the last row of an affine transform is [0, 0, 0, 1]")
+        return matrix
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A string that is not empty."""
+        value = self.raw(key) if default is None else self._data.get(key, default)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f"expected a non-empty string, got {value!r}")
+        return value
+
+    def flag(self, key: str, default: bool | None) -> bool | None:
+        """A boolean, or `default` where the key is absent."""
+        if key in self and not isinstance(self._data[key], bool):
+            raise self.error(key, f"expected true or false, got {self._data[key]!r}")
+        return self._data.get(key, default)
+
+    def _checked(
+        self, place: str, value: object, low: float = -math.inf, high: float = math.inf
+    ) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(place, f"expected a number, got {_describe(value)}")
+        if not math.isfinite(value) or abs(value) > np.finfo(np.float32).max:
+            raise self.error(place, f"{value} is not a finite single-precision number")
+        if not low <= value <= high:
+            limits = f"from {low:g} to {high:g}" if high < math.inf else f"at least {low:g}"
+            raise self.error(place, f"{value} is out of range; it must be {limits}")
+        return float(value)
+
+
+def _describe(value: object) -> str:
+    """A value as an error message shows it: lists by their length, the rest as written."""
+    return f"a list of {len(value)}" if isinstance(value, list) else repr(value)
