@@ -1,0 +1,74 @@
+/* Types and helpers that every kernel file builds on. Joined first.
+ *
+ * Two widths, one source. VEC is the number of samples a work-item holds: `real` is float (VEC 1) or
+ * floatVEC, `whole` and `bits` are int and uint of the same width, and a comparison of reals yields a
+ * `whole` that SELECT and ANY understand. CPU devices use VEC 16, 8 or 4, GPUs use VEC 1.
+ *
+ * FMA(a, b, c) is a * b + c with one rounding where the device does that fast (USE_FMA), else left to
+ * the compiler's -cl-mad-enable.
+ *
+ * Functions carry no `inline` and no `static`: C99's inline leaves an undefined symbol where a compiler
+ * does not inline, and an unused static one is a warning; OpenCL compilers inline plain functions anyway.
+ *
+ * Work-group contract: none; these are pure functions of private values.
+ */
+
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+
+#if VEC == 1
+typedef float real;
+typedef int whole;
+typedef uint bits;
+#define LOAD(pointer) (*(pointer))
+#define STORE(value, pointer) (*(pointer) = (value))
+#define TO_REAL(x) convert_float(x)
+#define TO_BITS(x) convert_uint(x)
+#define TO_WHOLE(x) convert_int(x)
+#define SELECT(if_false, if_true, condition) ((condition) ? (if_true) : (if_false))
+#define ANY(condition) ((condition) != 0)
+#define LANE_NUMBER ((bits)0)
+#else
+typedef JOIN(float, VEC) real;
+typedef JOIN(int, VEC) whole;
+typedef JOIN(uint, VEC) bits;
+#define LOAD(pointer) JOIN(vload, VEC)(0, pointer)
+#define STORE(value, pointer) JOIN(vstore, VEC)(value, 0, pointer)
+#define TO_REAL(x) JOIN(convert_float, VEC)(x)
+#define TO_BITS(x) JOIN(convert_uint, VEC)(x)
+#define TO_WHOLE(x) JOIN(convert_int, VEC)(x)
+#define SELECT(if_false, if_true, condition) select((if_false), (if_true), (condition))
+#define ANY(condition) any(condition)
+#if VEC == 4
+#define LANE_NUMBER ((bits)(0, 1, 2, 3))
+#elif VEC == 8
+#define LANE_NUMBER ((bits)(0, 1, 2, 3, 4, 5, 6, 7))
+#else
+#define LANE_NUMBER ((bits)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
+#endif
+#endif
+
+#if USE_FMA
+#define FMA(a, b, c) fma(a, b, c)
+#else
+#define FMA(a, b, c) ((a) * (b) + (c))
+#endif
+
+/* Sum over the VEC samples of a work-item, always in the same order. */
+float sum_lanes(const real x) {
+#if VEC == 1
+  return x;
+#elif VEC == 4
+  const float2 s2 = x.lo + x.hi;
+  return s2.x + s2.y;
+#elif VEC == 8
+  const float4 s4 = x.lo + x.hi;
+  const float2 s2 = s4.lo + s4.hi;
+  return s2.x + s2.y;
+#else
+  const float8 s8 = x.lo + x.hi;
+  const float4 s4 = s8.lo + s8.hi;
+  const float2 s2 = s4.lo + s4.hi;
+  return s2.x + s2.y;
+#endif
+}

@@ -1,0 +1,99 @@
+/* Camera rays, and shading points from what they hit.
+ *
+ * camera_rays: one work-item a sub-pixel of a regular grid (supersampling k makes k*k sub-pixels of a
+ * pixel, each an integral of its own); writes origins and directions as embree reads them, three
+ * floats a ray, into host-visible memory.
+ *
+ * shading_points: one work-item a hit; barycentric interpolation instead of origin + t * direction, so
+ * that the position's error is a few ulps of the triangle's coordinates and not of the distance.
+ * Writes the rows of surface.cl.
+ *
+ * camera: CAMERA_FLOATS floats: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2).
+ *
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers.
+ */
+
+float3 load3(global const float *restrict array, const ulong index) {
+  return (float3)(array[3 * index], array[3 * index + 1], array[3 * index + 2]);
+}
+
+/* Unit direction through the centre of sub-pixel `cell` of a `columns` x `rows` grid. */
+float3 camera_direction(global const float *restrict camera, const uint cell, const uint columns,
+                        const uint rows) {
+  const float x = ((float)(cell % columns) + 0.5f) / (float)columns * 2.0f - 1.0f;
+  const float y = 1.0f - ((float)(cell / columns) + 0.5f) / (float)rows * 2.0f;
+  return normalize(load3(camera, 1) + x * load3(camera, 2) + y * load3(camera, 3));
+}
+
+kernel void camera_rays(global const float *restrict camera, const uint first_cell, const uint count,
+                        const uint columns, const uint rows, global float *restrict origins,
+                        global float *restrict directions) {
+  const uint ray = (uint)get_global_id(0);
+  if (ray >= count) return;
+  vstore3(load3(camera, 0), ray, origins);
+  vstore3(camera_direction(camera, first_cell + ray, columns, rows), ray, directions);
+}
+
+float largest(const float3 x) { return fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z))); }
+
+void store_row3(global float *restrict surface, const uint total_points, const uint row,
+                const uint point, const float3 value) {
+  const ulong stride = total_points;
+  surface[row * stride + point] = value.x;
+  surface[(row + 1u) * stride + point] = value.y;
+  surface[(row + 2u) * stride + point] = value.z;
+}
+
+kernel void shading_points(global const float *restrict camera, const uint columns, const uint rows,
+                           const uint total_points, global const uint *restrict cells,
+                           global const uint *restrict hit_triangle, global const float *restrict hit_u,
+                           global const float *restrict hit_v, global const float *restrict vertices,
+                           global const float *restrict vertex_normals,
+                           global const uint *restrict triangles,
+                           global const int *restrict triangle_material,
+                           global const float *restrict materials, global float *restrict surface) {
+  const uint point = (uint)get_global_id(0);
+  if (point >= total_points) return;
+  const uint triangle = hit_triangle[point];
+  const uint corner0 = triangles[3 * (ulong)triangle];
+  const uint corner1 = triangles[3 * (ulong)triangle + 1];
+  const uint corner2 = triangles[3 * (ulong)triangle + 2];
+  const float3 vertex0 = load3(vertices, corner0);
+  const float3 vertex1 = load3(vertices, corner1);
+  const float3 vertex2 = load3(vertices, corner2);
+  const float b1 = hit_u[point];
+  const float b2 = hit_v[point];
+  const float b0 = 1.0f - b1 - b2;
+  const float3 outgoing = -camera_direction(camera, cells[point], columns, rows);
+
+  /* Surfaces are two-sided: both normals turn towards the viewer. The edges are scaled before the
+   * cross product, whose squared length would leave float's range for very small triangles. */
+  const float3 edge1 = vertex1 - vertex0;
+  const float3 edge2 = vertex2 - vertex0;
+  const float3 scaled1 = edge1 / largest(edge1);
+  const float3 scaled2 = edge2 / largest(edge2);
+  float3 geometric_normal = normalize(cross(scaled1, scaled2));
+  if (dot(geometric_normal, outgoing) < 0.0f) geometric_normal = -geometric_normal;
+  float3 normal = b0 * load3(vertex_normals, corner0) + b1 * load3(vertex_normals, corner1) +
+                  b2 * load3(vertex_normals, corner2);
+  if (dot(normal, geometric_normal) < 0.0f) normal = -normal;
+  /* Flat triangles carry zero normals; an interpolated normal that turns away from the viewer, as at
+   * silhouettes of coarse meshes, would make the surface black. */
+  const float length2 = dot(normal, normal);
+  normal = length2 > 0.0f ? normal * rsqrt(length2) : geometric_normal;
+  if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
+
+  const float scale = fmax(largest(vertex0), fmax(largest(vertex1), largest(vertex2)));
+  const ulong material = (ulong)triangle_material[triangle] * MATERIAL_FLOATS;
+  const ulong stride = total_points;
+  store_row3(surface, total_points, ROW_POSITION, point, b0 * vertex0 + b1 * vertex1 + b2 * vertex2);
+  store_row3(surface, total_points, ROW_NORMAL, point, normal);
+  store_row3(surface, total_points, ROW_GEOMETRIC_NORMAL, point, geometric_normal);
+  store_row3(surface, total_points, ROW_OUTGOING, point, outgoing);
+  surface[ROW_OFFSET * stride + point] = RELATIVE_OFFSET * scale;
+  for (uint i = 0; i < 3; ++i) {
+    surface[(ROW_ALBEDO + i) * stride + point] = materials[material + i];
+    surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + 3 + i];
+  }
+  surface[ROW_ROUGHNESS * stride + point] = materials[material + 6];
+}

@@ -1,0 +1,111 @@
+/* Points of the unit square as a pure function of (seed, stream, shading point, sample index).
+ *
+ * Nothing is carried from one sample to the next, so tiles, batch sizes, devices and resumed renders
+ * draw the same points. Two samplers, chosen by SAMPLER:
+ *
+ *   SAMPLER_INDEPENDENT  Philox-4x32-10 (Salmon et al. 2011), counter (sample, point, stream, 0),
+ *                        key = seed.
+ *   SAMPLER_SOBOL        the first two Sobol dimensions, Owen-scrambled by hashing (Burley 2020, JCGT
+ *                        9(4); constants of the permutation by Vegdahl), seeded by Philox per
+ *                        (point, stream). A digital shift on top makes each point exactly uniform
+ *                        whatever the quality of the hash, so estimates are exactly unbiased.
+ *
+ * Coordinates are multiples of 2^-24 in [0, 1).
+ *
+ * Work-group contract: none; pure functions of private values, VEC samples at a time.
+ */
+
+/* One text for the scalar and the VEC-wide generator. `state` is the counter and becomes the output. */
+#define DEFINE_PHILOX(name, word)                                   \
+  void name(word state[4], const uint key_low, const uint key_high) { \
+    uint key0 = key_low;                                            \
+    uint key1 = key_high;                                           \
+    for (int round = 0; round < 10; ++round) {                      \
+      const word high0 = mul_hi(state[0], (word)0xD2511F53u);       \
+      const word low0 = state[0] * (word)0xD2511F53u;               \
+      const word high1 = mul_hi(state[2], (word)0xCD9E8D57u);       \
+      const word low1 = state[2] * (word)0xCD9E8D57u;               \
+      state[0] = high1 ^ state[1] ^ (word)key0;                     \
+      state[1] = low1;                                              \
+      state[2] = high0 ^ state[3] ^ (word)key1;                     \
+      state[3] = low0;                                              \
+      key0 += 0x9E3779B9u;                                          \
+      key1 += 0xBB67AE85u;                                          \
+    }                                                               \
+  }
+
+DEFINE_PHILOX(philox, bits)
+
+#if VEC == 1
+#define philox_scalar philox
+#else
+DEFINE_PHILOX(philox_scalar, uint)
+#endif
+
+/* The upper 24 bits as a float in [0, 1). */
+real to_unit_interval(const bits x) { return TO_REAL(x >> 8) * 0x1.0p-24f; }
+
+bits reverse_bits(const bits word) {
+  bits x = word;
+  x = ((x >> 1) & 0x55555555u) | ((x & 0x55555555u) << 1);
+  x = ((x >> 2) & 0x33333333u) | ((x & 0x33333333u) << 2);
+  x = ((x >> 4) & 0x0F0F0F0Fu) | ((x & 0x0F0F0F0Fu) << 4);
+  x = ((x >> 8) & 0x00FF00FFu) | ((x & 0x00FF00FFu) << 8);
+  return (x >> 16) | (x << 16);
+}
+
+/* Owen scrambling of a bit-reversed word: every bit is flipped by a hash of the bits below it. */
+bits owen_hash(const bits word, const uint seed) {
+  bits x = word;
+  x ^= x * 0x3D20ADEAu;
+  x += seed;
+  x *= (seed >> 16) | 1u;
+  x ^= x * 0x05526C56u;
+  x ^= x * 0x53A22864u;
+  return x;
+}
+
+/* The second Sobol dimension, bit-reversed: the index times Pascal's triangle modulo 2, which is the
+ * fifth Kronecker power of ((1, 1), (0, 1)) and so factors into five masked shifts. */
+bits sobol_second_reversed(const bits index) {
+  bits x = index;
+  x ^= (x >> 1) & 0x55555555u;
+  x ^= (x >> 2) & 0x33333333u;
+  x ^= (x >> 4) & 0x0F0F0F0Fu;
+  x ^= (x >> 8) & 0x00FF00FFu;
+  x ^= (x >> 16) & 0x0000FFFFu;
+  return x;
+}
+
+/* Samples `index` (VEC of them) of shading point `point` in the unit square. */
+void sample_square(const uint point, const bits index, const uint stream, const uint seed_low,
+                   const uint seed_high, real *u, real *v) {
+#if SAMPLER == SAMPLER_SOBOL
+  /* 1 in the last word keeps these counters apart from the independent sampler's. */
+  uint scramble[4] = {0u, point, stream, 1u};
+  philox_scalar(scramble, seed_low, seed_high);
+  /* The first dimension is the bit-reversed index, so its bit-reversed form is the index itself. */
+  *u = to_unit_interval(reverse_bits(owen_hash(index, scramble[0])) ^ scramble[2]);
+  *v = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), scramble[1])) ^ scramble[3]);
+#else
+  bits state[4] = {index, (bits)point, (bits)stream, (bits)0u};
+  philox(state, seed_low, seed_high);
+  *u = to_unit_interval(state[0]);
+  *v = to_unit_interval(state[1]);
+#endif
+}
+
+/* The bare sampler, for users who bring their own integrand and for the sampler's own tests. */
+kernel void square_samples(const uint first_point, const uint point_count, const uint first_sample,
+                           const uint stride, const uint stream, const uint seed_low,
+                           const uint seed_high, global float *restrict u, global float *restrict v) {
+  const uint blocks = stride / VEC;
+  const uint item = (uint)get_global_id(0);
+  if (item >= point_count * blocks) return;
+  const uint at = (item / blocks) * stride + (item % blocks) * VEC;
+  real sample_u, sample_v;
+  sample_square(first_point + item / blocks, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream,
+                seed_low, seed_high, &sample_u, &sample_v);
+  STORE(sample_u, u + at);
+  STORE(sample_v, v + at);
+}

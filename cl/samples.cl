@@ -1,0 +1,71 @@
+/* Draw samples of an integrand: coordinates, unshadowed values, and the rays that decide visibility.
+ *
+ * Joined after the integrand's own file, which defines evaluate_integrand. A batch holds `point_count`
+ * shading points with `stride` samples each (a multiple of VEC); sample s of point p is element
+ * p * stride + s of `u`, `v`, `slot`, and of each channel's plane of `value`. Samples past
+ * `sample_count` are padding with value zero.
+ *
+ * Rays are compacted: a sample whose unshadowed value is zero gets none (slot NO_RAY). The others take
+ * consecutive slots from `ray_count`; which slot a sample gets may differ between runs, but each sample
+ * finds its own ray's answer through `slot`, so results do not.
+ *
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
+ * VEC consecutive samples of one point.
+ */
+
+kernel void draw_samples(const uint first_point, const uint point_count, const uint total_points,
+                         const uint first_sample, const uint sample_count, const uint stride,
+                         const uint stream, const uint seed_low, const uint seed_high,
+                         global const float *restrict surface,
+                         global const float *restrict integrand_data, global float *restrict u,
+                         global float *restrict v, global float *restrict value,
+                         global uint *restrict slot, global float *restrict origins,
+                         global float *restrict directions, global float *restrict distances,
+                         volatile global uint *restrict ray_count) {
+  const uint blocks = stride / VEC;
+  const uint item = (uint)get_global_id(0);
+  if (item >= point_count * blocks) return;
+  const uint local_point = item / blocks;
+  const uint block = item % blocks;
+  const uint point = first_point + local_point;
+  const ulong at = (ulong)local_point * stride + block * VEC;
+  const ulong plane = (ulong)point_count * stride;
+  const ShadingPoint p = load_shading_point(surface, total_points, point);
+
+  const bits index = LANE_NUMBER + block * VEC;
+  real sample_u, sample_v, distance;
+  real sample_value[CHANNELS];
+  real direction[3];
+  sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
+  evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction, &distance);
+  STORE(sample_u, u + at);
+  STORE(sample_v, v + at);
+  whole live = (whole)0;
+  for (uint channel = 0; channel < CHANNELS; ++channel) {
+    sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
+    live = live || (sample_value[channel] > 0.0f);
+    STORE(sample_value[channel], value + channel * plane + at);
+  }
+
+  float ray[4][VEC];
+  int is_live[VEC];
+  STORE(direction[0], ray[0]);
+  STORE(direction[1], ray[1]);
+  STORE(direction[2], ray[2]);
+  STORE(distance, ray[3]);
+  STORE(live, is_live);
+  uint count = 0;
+  for (uint lane = 0; lane < VEC; ++lane) count += is_live[lane] != 0 ? 1u : 0u;
+  uint next = count > 0 ? atomic_add(ray_count, count) : 0u;
+  const float3 origin = ray_origin(&p);
+  for (uint lane = 0; lane < VEC; ++lane) {
+    uint own = NO_RAY;
+    if (is_live[lane] != 0) {
+      own = next++;
+      vstore3(origin, own, origins);
+      vstore3((float3)(ray[0][lane], ray[1][lane], ray[2][lane]), own, directions);
+      distances[own] = ray[3][lane];
+    }
+    slot[at + lane] = own;
+  }
+}

@@ -1,0 +1,52 @@
+/* A shading point as kernels see it: everything that is fixed while (u, v) varies.
+ *
+ * Memory layout: one float buffer `surface`, structure of arrays: row r of point p at
+ * surface[r * total_points + p]. The ROW_* constants come from points.py.
+ *
+ * Work-group contract: none; pure functions of private values.
+ */
+
+typedef struct {
+  float3 position;         /* on the surface, world space */
+  float3 normal;           /* shading normal, unit, on the viewer's side */
+  float3 geometric_normal; /* of the triangle, unit, on the viewer's side */
+  float3 outgoing;         /* unit, towards the viewer */
+  float offset;            /* how far ray origins are moved along geometric_normal */
+  float3 albedo;
+  float3 reflectance;      /* at normal incidence */
+  float roughness;
+} ShadingPoint;
+
+float3 load_row3(global const float *restrict surface, const uint total_points, const uint row,
+                 const uint point) {
+  const ulong stride = total_points;
+  return (float3)(surface[row * stride + point], surface[(row + 1u) * stride + point],
+                  surface[(row + 2u) * stride + point]);
+}
+
+ShadingPoint load_shading_point(global const float *restrict surface, const uint total_points,
+                                const uint point) {
+  const ulong stride = total_points;
+  ShadingPoint p;
+  p.position = load_row3(surface, total_points, ROW_POSITION, point);
+  p.normal = load_row3(surface, total_points, ROW_NORMAL, point);
+  p.geometric_normal = load_row3(surface, total_points, ROW_GEOMETRIC_NORMAL, point);
+  p.outgoing = load_row3(surface, total_points, ROW_OUTGOING, point);
+  p.offset = surface[ROW_OFFSET * stride + point];
+  p.albedo = load_row3(surface, total_points, ROW_ALBEDO, point);
+  p.reflectance = load_row3(surface, total_points, ROW_REFLECTANCE, point);
+  p.roughness = surface[ROW_ROUGHNESS * stride + point];
+  return p;
+}
+
+/* Where rays that leave on the geometric normal's side start. */
+float3 ray_origin(const ShadingPoint *p) { return p->position + p->offset * p->geometric_normal; }
+
+/* Two unit vectors that complete `n` to a right-handed frame (Duff et al. 2017, JCGT 6(1)). */
+void tangent_frame(const float3 n, float3 *tangent, float3 *bitangent) {
+  const float sign = copysign(1.0f, n.z);
+  const float a = -1.0f / (sign + n.z);
+  const float b = n.x * n.y * a;
+  *tangent = (float3)(1.0f + sign * n.x * n.x * a, sign * b, -sign * n.x);
+  *bitangent = (float3)(b, sign + n.y * n.y * a, -n.y);
+}

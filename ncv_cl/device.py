@@ -1,0 +1,204 @@
+"""One OpenCL device: what it is, what it can do, and memory that host and device share."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyopencl as cl
+
+# A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA).
+GPU_LANES = 32
+# Work-items in a group of a kernel in which work-items do not cooperate.
+GROUP_SIZE = 64
+
+INSTALL_HINT = (
+    "no OpenCL device was found. Install a runtime: `pip install 'ncv_cl[pocl]'` brings PoCL for the "
+    "CPU without any system package; on Debian and Ubuntu `apt install pocl-opencl-icd` is faster; "
+    "GPUs need their vendor's driver with an entry under /etc/OpenCL/vendors "
+    "(NVIDIA without one: set OCL_ICD_VENDORS=libnvidia-opencl.so.1)."
+)
+
+
+class DeviceError(RuntimeError):
+    """No usable OpenCL device, or the one asked for does not exist."""
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """An OpenCL device with its context and in-order queue.
+
+    Attributes
+    ----------
+    cl_device : pyopencl.Device
+    index : int
+        Position in the list that `devices()` prints; a selector accepts it.
+    vector_width : int
+        VEC: samples per work-item, as `floatN` (1, 4, 8 or 16). CPU runtimes do not vectorise scalar
+        work-items with private arrays, GPUs do not want vectors.
+    lanes : int
+        LANES: work-items that cooperate on one shading point.
+    use_fma : bool
+        Whether `fma` beats `a * b + c` with ``-cl-mad-enable``; the probe measures it.
+    """
+
+    cl_device: cl.Device
+    index: int = 0
+    vector_width: int = 1
+    lanes: int = 1
+    use_fma: bool = True
+    context: cl.Context = field(repr=False, default=None)
+    queue: cl.CommandQueue = field(repr=False, default=None)
+
+    @property
+    def name(self) -> str:
+        return self.cl_device.name.strip()
+
+    @property
+    def platform_version(self) -> str:
+        return " ".join(self.cl_device.platform.version.split())
+
+    @property
+    def is_cpu(self) -> bool:
+        return bool(self.cl_device.type & cl.device_type.CPU)
+
+    @property
+    def is_gpu(self) -> bool:
+        return bool(self.cl_device.type & cl.device_type.GPU)
+
+    @property
+    def has_float64(self) -> bool:
+        return "cl_khr_fp64" in self.cl_device.extensions
+
+    @property
+    def identity(self) -> str:
+        """A line that tells this device and driver from every other."""
+        return f"{self.platform_version} | {self.name} | {self.cl_device.driver_version.strip()}"
+
+    def describe(self) -> str:
+        """One line for `ncv-cl devices` and for bug reports."""
+        kind = "GPU" if self.is_gpu else "CPU" if self.is_cpu else "device"
+        return (
+            f"[{self.index}] {kind} {self.name} | {self.platform_version} | "
+            f"{self.cl_device.max_compute_units} compute units, native float{self.native_vector_width}, "
+            f"{self.cl_device.local_mem_size // 1024} KiB local memory | "
+            f"VEC {self.vector_width}, LANES {self.lanes}"
+        )
+
+    @property
+    def native_vector_width(self) -> int:
+        return max(1, self.cl_device.native_vector_width_float)
+
+
+def default_widths(cl_device: cl.Device) -> tuple[int, int]:
+    """(VEC, LANES) for a device: whole vectors and one lane on CPUs, the reverse on GPUs."""
+    if cl_device.type & cl.device_type.GPU:
+        return 1, GPU_LANES
+    native = cl_device.native_vector_width_float
+    return (16 if native >= 16 else 8 if native >= 8 else 4), 1
+
+
+@functools.cache
+def open_device(
+    cl_device: cl.Device,
+    index: int = 0,
+    vector_width: int | None = None,
+    lanes: int | None = None,
+    use_fma: bool = True,
+) -> Device:
+    """Open a device with a context and a queue; VEC and LANES can be set to simulate another shape."""
+    default_vector_width, default_lanes = default_widths(cl_device)
+    context = _context(cl_device)
+    return Device(
+        cl_device,
+        index,
+        vector_width or default_vector_width,
+        lanes or default_lanes,
+        use_fma,
+        context,
+        cl.CommandQueue(context),
+    )
+
+
+@functools.cache
+def _context(cl_device: cl.Device) -> cl.Context:
+    return cl.Context([cl_device])
+
+
+def list_cl_devices() -> list[cl.Device]:
+    """Every OpenCL device of every platform, in the loader's order.
+
+    Raises
+    ------
+    DeviceError
+        If there is no platform or no device; the message says what to install.
+    """
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error as error:
+        raise DeviceError(f"{INSTALL_HINT} (the OpenCL loader said: {error})") from error
+    found = [cl_device for platform in platforms for cl_device in platform.get_devices()]
+    if not found:
+        raise DeviceError(INSTALL_HINT)
+    return found
+
+
+class HostArray:
+    """An array in memory that the host can see: zero-copy on CPU devices, pinned on GPUs.
+
+    Parameters
+    ----------
+    device : Device
+    shape : tuple of int
+    dtype : numpy dtype
+    """
+
+    def __init__(self, device: Device, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> None:
+        self.device = device
+        self.shape = (shape,) if isinstance(shape, int) else tuple(shape)
+        self.dtype = np.dtype(dtype)
+        count = int(np.prod(self.shape, dtype=np.int64))
+        # OpenCL has no empty buffers; an empty array keeps one unused element.
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
+        self.buffer = cl.Buffer(device.context, flags, size=max(1, count) * self.dtype.itemsize)
+
+    @classmethod
+    def of(cls, device: Device, array: np.ndarray) -> HostArray:
+        """A new `HostArray` that holds a copy of `array`."""
+        array = np.asarray(array)
+        shared = cls(device, array.shape, array.dtype)
+        with shared.mapped(write=True) as view:
+            view[...] = array
+        return shared
+
+    @contextmanager
+    def mapped(self, write: bool = False, count: int | None = None) -> Iterator[np.ndarray]:
+        """View the array (or its first `count` rows) on the host while the block lasts.
+
+        With ``write=True`` the previous content is not kept.
+        """
+        shape = self.shape if count is None else (count, *self.shape[1:])
+        if 0 in shape:
+            yield np.empty(shape, self.dtype)
+            return
+        flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
+        view, _ = cl.enqueue_map_buffer(
+            self.device.queue, self.buffer, flags, 0, shape, self.dtype, is_blocking=True
+        )
+        try:
+            yield view
+        finally:
+            view.base.release(self.device.queue)
+
+    def read(self, count: int | None = None) -> np.ndarray:
+        """A copy of the content (or of the first `count` rows) in plain numpy memory."""
+        with self.mapped(count=count) as view:
+            return view.copy()
+
+    def fill(self, value: float | int) -> None:
+        """Set every element, on the device."""
+        pattern = np.array(value, self.dtype)
+        cl.enqueue_fill_buffer(self.device.queue, self.buffer, pattern, 0, self.buffer.size)

@@ -1,0 +1,110 @@
+"""Running estimates of every point's integral: Monte Carlo, and the residual of a control variate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .device import GROUP_SIZE, Device, HostArray
+from .network import FoldedNetwork
+from .points import ShadingPoints
+from .program import build
+from .samples import NO_RAY, Batch
+
+STATE_FLOATS = 3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Sample means over one quantity.
+
+    Attributes
+    ----------
+    mean, variance : ndarray
+        float64 (channels, points): the mean, and the variance of a single sample (unbiased).
+    samples : int
+        Samples of each point.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    samples: int
+
+    @property
+    def variance_of_mean(self) -> np.ndarray:
+        """Variance of `mean` were the samples independent; an upper bound under Sobol sampling.
+
+        Zero samples have no variance to speak of: zeros.
+        """
+        return self.variance / max(self.samples, 1)
+
+
+class Estimator:
+    """Accumulates f, and f − g where a network is given, batch after batch.
+
+    Parameters
+    ----------
+    device, points, channels
+    network : FoldedNetwork, optional
+        The control variate.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        points: ShadingPoints,
+        channels: int,
+        network: FoldedNetwork | None = None,
+    ) -> None:
+        self.points = points
+        self.channels = channels
+        self.network = network
+        self.samples = 0
+        self._lanes = device.lanes
+        self._group_points = max(1, GROUP_SIZE // device.lanes)
+        defines = {
+            "CHANNELS": channels,
+            "WITH_NETWORK": int(network is not None),
+            "STATE_FLOATS": STATE_FLOATS,
+            "GROUP_POINTS": self._group_points,
+            "NO_RAY": f"{NO_RAY}u",
+        }
+        files: tuple[str, ...] = ("common", "batch", "estimate")
+        if network is not None:
+            files = ("common", "batch", "mlp", "estimate")
+            defines |= network.network.description.defines()
+        self._accumulate = build(device, files, defines).kernel("accumulate")
+        self.quantities = 1 + (network is not None)
+        rows = self.quantities * channels * STATE_FLOATS
+        self._state = HostArray(device, (rows, points.active), np.float32)
+        self._state.fill(0.0)
+
+    def add(self, batch: Batch) -> None:
+        """Add a batch. Every point must have been given the same number of samples before."""
+        inputs = [batch.value, batch.slot, batch.visible]
+        if self.network is not None:
+            inputs += [batch.u, batch.v, self.network.folded, self.network.parameters]
+        self._accumulate(
+            len(batch.points) * self._lanes,
+            batch.points.start,
+            len(batch.points),
+            self.points.active,
+            batch.samples,
+            batch.stride,
+            float(self.samples),
+            *inputs,
+            self._state,
+            group=self._group_points * self._lanes,
+        )
+
+    def finish_pass(self, samples: int) -> None:
+        """Say that every point has been given `samples` more."""
+        self.samples += samples
+
+    def result(self, quantity: int = 0) -> Estimate:
+        """Means and variances of f (`quantity` 0) or of f − g (1)."""
+        state = self._state.read().astype(np.float64)
+        state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)[quantity]
+        variance = state[:, 2] / max(self.samples - 1, 1)
+        return Estimate(state[:, 0] + state[:, 1], variance, self.samples)

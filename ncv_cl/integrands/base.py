@@ -1,0 +1,52 @@
+"""What the stages need to know of an integrand."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from ..scene import Scene
+
+
+class IntegrandError(ValueError):
+    """The scene or an option does not suit the integrand."""
+
+
+class Integrand(ABC):
+    """A function f(u, v | φ) on the unit square for every shading point.
+
+    A subclass says which of the network's inputs its f depends on, how many channels it has, and names
+    a kernel file that defines ``evaluate_integrand`` (see samples.cl).
+    """
+
+    name: ClassVar[str]
+    """What the command line calls it."""
+    files: ClassVar[tuple[str, ...]]
+    """Kernel files, in joining order, that define ``evaluate_integrand``."""
+    channels: ClassVar[int]
+    inputs: ClassVar[tuple[str, ...]]
+    """Network inputs f depends on, as `encode.INPUTS` names them."""
+    emitters_active: ClassVar[bool]
+    """Whether points on area lights have an integral of their own."""
+
+    @abstractmethod
+    def data(self, scene: Scene) -> np.ndarray:
+        """The float32 array that the kernels call ``integrand_data``."""
+
+    @abstractmethod
+    def defines(self, scene: Scene) -> dict[str, int]:
+        """The `-D` constants of the integrand's kernel files."""
+
+    def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """What points on lights add by themselves, float32 (points, 3).
+
+        Parameters
+        ----------
+        light : ndarray
+            int32 (points,), index of the light each point lies on.
+        outgoing : ndarray
+            float32 (3, points), unit directions towards the viewer.
+        """
+        return np.zeros((len(light), 3), np.float32)

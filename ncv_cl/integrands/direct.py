@@ -1,0 +1,86 @@
+"""Direct light from quad area lights."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..points import RELATIVE_OFFSET
+from ..scene import QuadLight, Scene
+from .base import Integrand, IntegrandError
+
+LIGHT_FLOATS = 19
+
+
+class DirectLight(Integrand):
+    """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
+
+    (u, v) is a point on a light. Several lights share the unit square as strips in u, each as wide as
+    its share of the emitted power, so the integral stays two-dimensional.
+    """
+
+    name = "direct"
+    files = ("bsdf", "direct")
+    channels = 3
+    inputs = ("position", "normal", "outgoing", "albedo", "roughness")
+    emitters_active = False
+
+    def data(self, scene: Scene) -> np.ndarray:
+        self._check(scene)
+        widths = strip_widths(scene.lights)
+        firsts = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
+        return np.concatenate(
+            [
+                _light_record(light, first, width)
+                for light, first, width in zip(scene.lights, firsts, widths, strict=True)
+            ]
+        )
+
+    def defines(self, scene: Scene) -> dict[str, int]:
+        self._check(scene)
+        return {
+            "LIGHT_COUNT": len(scene.lights),
+            "LIGHT_FLOATS": LIGHT_FLOATS,
+            "CHANNELS": self.channels,
+            "HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials)),
+        }
+
+    def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        radiance = np.array([one.radiance for one in scene.lights], np.float32)
+        normals = np.array([one.normal for one in scene.lights], np.float32)
+        two_sided = np.array([one.two_sided for one in scene.lights])
+        front = np.einsum("pi,ip->p", normals[light], outgoing) > 0
+        return radiance[light] * (front | two_sided[light])[:, None]
+
+    @staticmethod
+    def _check(scene: Scene) -> None:
+        if not scene.lights:
+            raise IntegrandError(
+                f"{scene.name} has no light, so direct light is zero everywhere: "
+                "add a [[lights]] entry to the scene, or render ambient occlusion"
+            )
+
+
+def strip_widths(lights: tuple[QuadLight, ...]) -> np.ndarray:
+    """Each light's share of the unit square's u axis: its share of the emitted power, float64."""
+    power = np.array([light.area * np.mean(light.radiance) * (1 + light.two_sided) for light in lights])
+    # Lights that are switched off keep a sliver, so that every strip has a width to divide by.
+    power = np.maximum(power, 1e-6 * max(power.max(), 1e-30))
+    return power / power.sum()
+
+
+def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
+    corners = np.abs(light.corner) + np.abs(light.edge1) + np.abs(light.edge2)
+    radiance = np.asarray(light.radiance, float) * light.area / width
+    offset = RELATIVE_OFFSET * corners.max()
+    record = [
+        *light.corner,
+        *light.edge1,
+        *light.edge2,
+        *light.normal,
+        *radiance,
+        first,
+        width,
+        float(light.two_sided),
+        offset,
+    ]
+    return np.array(record, np.float32)

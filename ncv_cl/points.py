@@ -1,0 +1,170 @@
+"""Shading points: what the camera sees, compacted, as a structure of arrays on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .device import Device, HostArray
+from .program import build
+from .scene import Camera, Scene
+from .trace import Hits, Tracer
+
+# Floats of each property in `surface`, in the order of their rows.
+_ROWS = {
+    "POSITION": 3,
+    "NORMAL": 3,
+    "GEOMETRIC_NORMAL": 3,
+    "OUTGOING": 3,
+    "OFFSET": 1,
+    "ALBEDO": 3,
+    "REFLECTANCE": 3,
+    "ROUGHNESS": 1,
+}
+ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
+ROW_COUNT = sum(_ROWS.values())
+
+# Ray origins are moved off their surface by this multiple of the triangle's largest coordinate: 32
+# rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.
+RELATIVE_OFFSET = 32 * 2.0**-24
+MATERIAL_FLOATS = 7
+CAMERA_RAYS_PER_BATCH = 1 << 19
+
+
+def surface_defines() -> dict[str, int | str]:
+    """The `-D` constants of surface.cl and points.cl."""
+    return {
+        **{f"ROW_{name}": row for name, row in ROW.items()},
+        "MATERIAL_FLOATS": MATERIAL_FLOATS,
+        "RELATIVE_OFFSET": f"{RELATIVE_OFFSET!r}f",
+    }
+
+
+@dataclass(frozen=True)
+class ShadingPoints:
+    """The shading points of an image.
+
+    Attributes
+    ----------
+    surface : HostArray
+        float32 (ROW_COUNT, total), rows as in surface.cl, world space.
+    cell : ndarray
+        uint32 (total,), sub-pixel of each point in row-major order on the supersampled grid.
+    light : ndarray
+        int32 (total,), index of the area light that the point lies on, or -1.
+    active : int
+        The first `active` points have an integral; the rest only fill image layers.
+    background : int
+        Sub-pixels whose camera ray hit nothing.
+    """
+
+    surface: HostArray
+    cell: np.ndarray
+    light: np.ndarray
+    active: int
+    background: int
+
+    @property
+    def total(self) -> int:
+        return len(self.cell)
+
+    def rows(self, name: str) -> np.ndarray:
+        """A copy of one property, float32 (floats, total); `name` as in surface.cl, lower case."""
+        key = name.upper()
+        with self.surface.mapped() as surface:
+            return surface[ROW[key] : ROW[key] + _ROWS[key]].copy()
+
+
+def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
+    """What points.cl reads of a camera: position, forward, scaled right, scaled up; float32 (4, 3)."""
+    forward = np.asarray(camera.target, float) - np.asarray(camera.position, float)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    half_height = np.tan(np.radians(camera.vertical_fov) / 2)
+    return np.array(
+        [camera.position, forward, right * half_height * (width / height), up * half_height],
+        np.float32,
+    )
+
+
+def material_records(scene: Scene) -> np.ndarray:
+    """float32 (materials, MATERIAL_FLOATS): albedo, reflectance, roughness."""
+    rows = [[*m.albedo, *m.reflectance, m.roughness] for m in scene.materials]
+    return np.array(rows, np.float32).reshape(-1, MATERIAL_FLOATS)
+
+
+def find_points(
+    device: Device,
+    scene: Scene,
+    tracer: Tracer,
+    width: int,
+    height: int,
+    supersample: int = 1,
+    emitters_active: bool = False,
+) -> ShadingPoints:
+    """Trace the camera's rays and keep what was hit.
+
+    Parameters
+    ----------
+    width, height : int
+        Pixels of the image.
+    supersample : int
+        k makes k × k sub-pixels of a pixel, each a shading point of its own.
+    emitters_active : bool
+        Whether points on area lights have an integral (ambient occlusion) or not (direct light, whose
+        emitters are black bodies).
+    """
+    columns, rows = width * supersample, height * supersample
+    cells = columns * rows
+    program = build(device, ("common", "points"), surface_defines())
+    camera = HostArray.of(device, camera_record(scene.camera, width, height))
+    hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
+
+    cell = np.flatnonzero(hits.triangle >= 0).astype(np.uint32)
+    light = scene.triangle_light[hits.triangle[cell]]
+    if not emitters_active:
+        order = np.argsort(light >= 0, kind="stable")
+        cell, light = cell[order], light[order]
+    active = len(cell) if emitters_active else int(np.count_nonzero(light < 0))
+
+    surface = HostArray(device, (ROW_COUNT, len(cell)), np.float32)
+    program.kernel("shading_points")(
+        len(cell),
+        camera,
+        columns,
+        rows,
+        len(cell),
+        HostArray.of(device, cell),
+        HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
+        HostArray.of(device, hits.u[cell]),
+        HostArray.of(device, hits.v[cell]),
+        HostArray.of(device, scene.vertices),
+        HostArray.of(device, scene.vertex_normals),
+        HostArray.of(device, scene.triangles),
+        HostArray.of(device, scene.triangle_material),
+        HostArray.of(device, material_records(scene)),
+        surface,
+    )
+    device.queue.finish()
+    return ShadingPoints(surface, cell, light, active, cells - len(cell))
+
+
+def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:
+    cells = columns * rows
+    batch = min(CAMERA_RAYS_PER_BATCH, cells)
+    origins = HostArray(device, (batch, 3), np.float32)
+    directions = HostArray(device, (batch, 3), np.float32)
+    found = []
+    for first in range(0, cells, batch):
+        count = min(batch, cells - first)
+        camera_rays(count, camera, first, count, columns, rows, origins, directions)
+        with origins.mapped(count=count) as starts, directions.mapped(count=count) as towards:
+            found.append(tracer.closest(starts, towards))
+    return Hits(
+        np.concatenate([hits.triangle for hits in found]),
+        np.concatenate([hits.u for hits in found]),
+        np.concatenate([hits.v for hits in found]),
+    )

@@ -1,0 +1,139 @@
+"""Assemble the kernel texts, specialise them by `-D` constants, build once, keep the kernels."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from .device import GROUP_SIZE, Device, HostArray
+
+_SCALAR_TYPES = {
+    "char": np.int8,
+    "uchar": np.uint8,
+    "int": np.int32,
+    "uint": np.uint32,
+    "long": np.int64,
+    "ulong": np.uint64,
+    "float": np.float32,
+    "double": np.float64,
+}
+
+
+def kernel_folder() -> Path:
+    """Where the `.cl` files lie: inside the installed package, or at the top of a checkout."""
+    installed = Path(__file__).parent / "cl"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "cl"
+
+
+@functools.cache
+def source(files: tuple[str, ...]) -> str:
+    """The joined text of `files` (base names without suffix), each under its own ``#line``.
+
+    The texts are joined here, and not by ``#include``, because NVIDIA's program cache misses edits of
+    included headers.
+    """
+    parts = []
+    for name in files:
+        text = (kernel_folder() / f"{name}.cl").read_text(encoding="utf-8")
+        parts.append(f'#line 1 "{name}.cl"\n{text}')
+    return "\n".join(parts)
+
+
+def device_defines(device: Device) -> dict[str, int]:
+    """The `-D` constants that every program takes from its device."""
+    return {
+        "VEC": device.vector_width,
+        "LANES": device.lanes,
+        "USE_FMA": int(device.use_fma),
+    }
+
+
+def option_list(defines: Mapping[str, int | str]) -> list[str]:
+    """Compiler options for a set of defines, in a fixed order (the driver's cache keys on them)."""
+    return ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
+
+
+class Kernel:
+    """A kernel with its scalar argument types, taken from its own signature.
+
+    One object belongs to one host thread: OpenCL kernels hold their arguments.
+    """
+
+    def __init__(self, device: Device, kernel: cl.Kernel) -> None:
+        self.device = device
+        self.name = kernel.function_name
+        info = cl.kernel_arg_info
+        self._argument_names = []
+        types: list[type | None] = []
+        for position in range(kernel.num_args):
+            type_name = kernel.get_arg_info(position, info.TYPE_NAME).strip("\0 ")
+            self._argument_names.append(kernel.get_arg_info(position, info.NAME).strip("\0 "))
+            types.append(None if type_name.endswith("*") else _SCALAR_TYPES[type_name])
+        kernel.set_scalar_arg_dtypes(types)
+        self._kernel = kernel
+
+    def __call__(
+        self,
+        work_items: int | tuple[int, ...],
+        *arguments: Any,
+        group: int | tuple[int, ...] = GROUP_SIZE,
+    ) -> cl.Event | None:
+        """Enqueue over at least `work_items`, rounded up to whole groups (kernels guard the tail)."""
+        if len(arguments) != len(self._argument_names):
+            expected = ", ".join(self._argument_names)
+            raise TypeError(f"{self.name} takes ({expected}), got {len(arguments)} arguments")
+        sizes = (work_items,) if isinstance(work_items, int) else work_items
+        groups = (group,) if isinstance(group, int) else group
+        rounded = tuple(-(-size // one) * one for size, one in zip(sizes, groups, strict=True))
+        if 0 in rounded:
+            return None
+        plain = [a.buffer if isinstance(a, HostArray) else a for a in arguments]
+        return self._kernel(self.device.queue, rounded, groups, *plain)
+
+
+class Program:
+    """A built program; `kernel(name)` returns the same retained `Kernel` every time."""
+
+    def __init__(self, device: Device, files: tuple[str, ...], defines: Mapping[str, int | str]) -> None:
+        self.device = device
+        self.files = files
+        self.defines = {**device_defines(device), **defines}
+        options = option_list(self.defines)
+        # PoCL contracts a * b + c only when told; where `fma` is fast the sources call it by name.
+        if not device.use_fma:
+            options.append("-cl-mad-enable")
+        options.append("-cl-kernel-arg-info")
+        try:
+            self._program = cl.Program(device.context, source(files)).build(options)
+        except cl.RuntimeError as error:
+            raise RuntimeError(
+                f"building {' + '.join(files)} failed on {device.name} with {self.defines}:\n{error}"
+            ) from error
+        self._kernels: dict[str, Kernel] = {}
+
+    def kernel(self, name: str) -> Kernel:
+        if name not in self._kernels:
+            self._kernels[name] = Kernel(self.device, cl.Kernel(self._program, name))
+        return self._kernels[name]
+
+
+_programs: dict[tuple[Any, ...], Program] = {}
+_lock = threading.Lock()
+
+
+def build(
+    device: Device, files: tuple[str, ...], defines: Mapping[str, int | str] | None = None
+) -> Program:
+    """Build (or return the retained) program of `files` for `device` with these `-D` constants."""
+    defines = dict(defines or {})
+    key = (device, files, tuple(sorted(defines.items())))
+    with _lock:
+        if key not in _programs:
+            _programs[key] = Program(device, files, defines)
+        return _programs[key]

@@ -1,0 +1,111 @@
+"""From estimates at shading points to the pixels and layers of an image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .estimate import Estimate
+from .image import Image
+from .integrands import Integrand
+from .points import ShadingPoints
+from .scene import Scene
+
+
+def combine(
+    plain: Estimate,
+    training: Estimate | None,
+    residual: Estimate | None,
+    integral: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each point's estimate and its variance, float64 (channels, points).
+
+    With a network, m training samples and n of the residual combine as on the slides' last page,
+    m / (m + n) <MC> + n / (m + n) (G + <f - g>); α = 1. The two parts are independent given the
+    network, and each is unbiased, so the sum is.
+    """
+    if residual is None or integral is None:
+        mean, variance = plain.mean, plain.variance_of_mean
+    else:
+        mean, variance = integral + residual.mean, residual.variance_of_mean
+    if training is None:
+        return mean, variance
+    share = training.samples / (training.samples + plain.samples)
+    return (
+        share * training.mean + (1 - share) * mean,
+        share**2 * training.variance_of_mean + (1 - share) ** 2 * variance,
+    )
+
+
+class PixelGrid:
+    """The box filter from sub-pixels to pixels."""
+
+    def __init__(self, points: ShadingPoints, size: tuple[int, int], supersample: int) -> None:
+        self.width, self.height = size
+        columns = self.width * supersample
+        row, column = points.cell // columns, points.cell % columns
+        self.pixel = (row // supersample) * self.width + column // supersample
+        self.cells_a_pixel = supersample**2
+
+    def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
+        """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
+        pixel, pixels = self.pixel[points], self.width * self.height
+        planes = [np.bincount(pixel, weights=row, minlength=pixels) for row in values]
+        return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
+
+    def average(self, values: np.ndarray, points: slice) -> np.ndarray:
+        """As `sum`, over the number of sub-pixels: what is not there counts as zero."""
+        return self.sum(values, points) / self.cells_a_pixel
+
+
+def resolve_image(
+    scene: Scene,
+    integrand: Integrand,
+    points: ShadingPoints,
+    size: tuple[int, int],
+    supersample: int,
+    plain: Estimate,
+    training: Estimate | None = None,
+    residual: Estimate | None = None,
+    integral: np.ndarray | None = None,
+) -> Image:
+    """The image of the estimates, with its layers.
+
+    Parameters
+    ----------
+    plain, training, residual : Estimate
+        Of f from the render's own samples, of f from the training samples, of f − g.
+    integral : ndarray, optional
+        float (channels, points.active), G of each active point.
+    """
+    grid = PixelGrid(points, size, supersample)
+    active, everything = slice(0, points.active), slice(0, points.total)
+    mean, variance = combine(plain, training, residual, integral)
+    pixels = grid.average(mean, active) + np.zeros(3)
+    # Errors of a pixel's points are independent: variances add with the square of the weight.
+    pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
+
+    outgoing = points.rows("outgoing")
+    lit = np.flatnonzero(points.light >= 0)
+    if lit.size:
+        emitted = np.zeros((3, points.total), np.float32)
+        emitted[:, lit] = integrand.emitted(scene, points.light[lit], outgoing[:, lit]).T
+        pixels += grid.average(emitted, everything)
+
+    layers = {
+        "albedo": grid.average(points.rows("albedo"), everything),
+        "N": grid.average(points.rows("normal"), everything),
+        "depth": _depth(scene, grid, points),
+    }
+    if residual is not None and integral is not None:
+        layers["G"] = grid.average(integral, active) + np.zeros(3)
+        layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+    return Image(pixels, pixel_variance, layers)
+
+
+def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:
+    """Mean distance from the camera over a pixel's hits; 0 where nothing was hit."""
+    offset = points.rows("position") - np.asarray(scene.camera.position, np.float32)[:, None]
+    everything = slice(0, points.total)
+    distances = grid.sum(np.linalg.norm(offset, axis=0)[None], everything)
+    hits = grid.sum(np.ones((1, points.total)), everything)
+    return (distances / np.maximum(hits, 1))[..., 0]

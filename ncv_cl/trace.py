@@ -1,0 +1,91 @@
+"""Rays on the host: embree by way of embreex, chunked over threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+
+from .scene import Scene
+
+# Rays a task; small enough to balance threads, large enough to hide the call.
+CHUNK = 1 << 15
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Closest hits: triangle index (-1 for none) and barycentric u, v of corners 1 and 2."""
+
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+
+
+class Tracer:
+    """A scene committed to embree.
+
+    Parameters
+    ----------
+    scene : Scene
+    threads : int, optional
+        Host threads; the number of cores this process may use by default. embreex releases the GIL
+        while it traces.
+    """
+
+    def __init__(self, scene: Scene, threads: int | None = None) -> None:
+        self.threads = threads or len(os.sched_getaffinity(0))
+        # Robust traversal: no ray slips through the edge between two triangles.
+        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        TriangleMesh(self._scene, scene.vertices, scene.triangles.astype(np.int32))
+        self._pool = ThreadPoolExecutor(self.threads)
+        # The first run commits the scene and must not race with another.
+        ray = np.zeros((1, 3), np.float32)
+        self._scene.run(ray, ray + np.float32(1.0))
+
+    def closest(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
+        """The closest hit of each ray; `origins` and `directions` are float32 (rays, 3)."""
+        hits = Hits(
+            np.empty(len(origins), np.int32),
+            np.empty(len(origins), np.float32),
+            np.empty(len(origins), np.float32),
+        )
+
+        def trace(part: slice) -> None:
+            found = self._scene.run(origins[part], directions[part], output=True)
+            hits.triangle[part] = found["primID"]
+            hits.u[part] = found["u"]
+            hits.v[part] = found["v"]
+
+        self._in_chunks(len(origins), trace)
+        return hits
+
+    def visible(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        distances: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """Write 1 to `out` (uint8) where nothing lies between 0 and `distances` along a ray, else 0.
+
+        Directions need no unit length; distances are in multiples of them.
+        """
+
+        def trace(part: slice) -> None:
+            blocked = self._scene.run(origins[part], directions[part], distances[part], query="OCCLUDED")
+            np.less(blocked, 0, out=out[part].view(np.bool_))
+
+        self._in_chunks(len(origins), trace)
+
+    def _in_chunks(self, rays: int, trace: Callable[[slice], None]) -> None:
+        parts = [slice(start, min(start + CHUNK, rays)) for start in range(0, rays, CHUNK)]
+        if len(parts) == 1:
+            trace(parts[0])
+        else:
+            # list() passes on what a thread raised.
+            list(self._pool.map(trace, parts))

@@ -1,0 +1,49 @@
+"""Fixtures: every OpenCL device present, and the first CPU in the shape of a GPU."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from ncv_cl.choose import all_devices, choose_device
+from ncv_cl.device import GPU_LANES, Device, open_device
+
+SCENES = Path(__file__).parent.parent / "scenes"
+
+
+def _devices() -> dict[str, Device]:
+    """By name for pytest; NCV_CL_DEVICE or PYOPENCL_TEST narrows the list to one."""
+    wanted = os.environ.get("NCV_CL_DEVICE") or os.environ.get("PYOPENCL_TEST")
+    devices = [choose_device(wanted)] if wanted else all_devices()
+    named = {f"device{device.index}": device for device in devices}
+    for device in devices:
+        if device.is_cpu:
+            # Not a GPU, but the code path of one: scalar work-items that cooperate on a point.
+            named["gpu-shape"] = open_device(
+                device.cl_device, device.index, vector_width=1, lanes=GPU_LANES
+            )
+            break
+    return named
+
+
+_NAMED = _devices()
+
+
+@pytest.fixture(params=list(_NAMED), scope="session")
+def device(request: pytest.FixtureRequest) -> Device:
+    """Each device in turn, and the GPU shape."""
+    return _NAMED[request.param]
+
+
+@pytest.fixture(scope="session")
+def one_device() -> Device:
+    """Some device, for tests whose subject is not the kernel."""
+    return next(iter(_NAMED.values()))
+
+
+@pytest.fixture(scope="session")
+def scenes() -> Path:
+    """The folder of the shipped scenes."""
+    return SCENES

@@ -1,0 +1,166 @@
+"""Running means and variances against float64, however the samples arrive."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ncv_cl.device import HostArray, open_device
+from ncv_cl.encode import Encoding
+from ncv_cl.estimate import Estimator
+from ncv_cl.network import NetworkDescription
+from ncv_cl.points import ShadingPoints
+from ncv_cl.samples import NO_RAY, Batch
+
+POINTS = 37
+
+
+def some_points(count=POINTS):
+    return ShadingPoints(None, np.arange(count), np.full(count, -1), count, 0)
+
+
+def make_batch(device, first, values, uv=None, seed=0):
+    """A batch of `values` (channels, points, samples) whose rays are answered in random order.
+
+    Returns it with the values after visibility, float64.
+    """
+    channels, count, samples = values.shape
+    stride = -(-samples // device.vector_width) * device.vector_width
+    generator = np.random.default_rng(seed)
+    # Padding is never to be read: NaN would show.
+    padded = np.full((channels, count, stride), np.nan, np.float32)
+    padded[..., :samples] = values
+    slot = generator.permutation(count * stride).astype(np.uint32).reshape(count, stride)
+    untraced = generator.uniform(size=slot.shape) < 0.1
+    visible = (generator.uniform(size=slot.size) < 0.8).astype(np.uint8)
+    if uv is None:
+        untraced[...], visible[...] = False, 1
+        uv = np.zeros((2, count, samples), np.float32)
+    slot[untraced] = NO_RAY
+    seen = np.where(untraced, 0, visible[np.where(untraced, 0, slot)])[:, :samples]
+    wide = np.zeros((2, count, stride), np.float32)
+    wide[..., :samples] = uv
+    arrays = [HostArray.of(device, array) for array in (wide[0], wide[1], padded, slot, visible)]
+    batch = Batch(range(first, first + count), samples, stride, *arrays)
+    return batch, values.astype(np.float32).astype(np.float64) * seen
+
+
+def accumulated(device, passes, channels, uv=None, network=None, split=11):
+    """Estimator after `passes` of values, each given in two batches, and the values seen."""
+    estimator = Estimator(device, some_points(), channels, network)
+    seen = []
+    for number, values in enumerate(passes):
+        parts = []
+        for points in (slice(0, split), slice(split, POINTS)):
+            own_uv = None if uv is None else uv[number][:, points]
+            batch, part = make_batch(device, points.start, values[:, points], own_uv, seed=number)
+            estimator.add(batch)
+            parts.append(part)
+        estimator.finish_pass(values.shape[-1])
+        seen.append(np.concatenate(parts, axis=1))
+    return estimator, np.concatenate(seen, axis=-1)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("lengths", [(1,), (2,), (37,), (16, 33, 5), (1, 1, 200, 3)])
+@pytest.mark.parametrize(("mean", "spread"), [(0, 1), (1e3, 1e-1), (1e3, 1e-3), (1e-12, 1e-13)])
+def test_means_and_variances_match_float64(device, channels, lengths, mean, spread):
+    generator = np.random.default_rng(8)
+    passes = [mean + spread * generator.normal(size=(channels, POINTS, n)) for n in lengths]
+    estimator, values = accumulated(device, passes, channels)
+    estimate = estimator.result()
+    assert estimate.samples == sum(lengths)
+    # Of means, single precision keeps this much; of a batch's few samples not more.
+    ulp = np.spacing(np.float32(abs(mean) + 4 * spread)).astype(float)
+    np.testing.assert_allclose(estimate.mean, values.mean(-1), atol=2 * ulp, rtol=0)
+    variance = values.var(-1, ddof=1) if sum(lengths) > 1 else np.zeros_like(estimate.variance)
+    # Each mean that enters a merge is off by half an ulp, and so enters squared or times the spread.
+    slack = 4 * ulp * spread + ulp**2
+    np.testing.assert_allclose(estimate.variance, variance, rtol=2e-4, atol=slack)
+    np.testing.assert_allclose(estimate.variance_of_mean, estimate.variance / sum(lengths))
+
+
+def test_visibility_is_read_through_the_slots(device):
+    generator = np.random.default_rng(3)
+    lengths = (21, 7)
+    passes = [generator.uniform(size=(3, POINTS, n)) for n in lengths]
+    uv = [generator.uniform(size=(2, POINTS, n)) for n in lengths]
+    estimator, values = accumulated(device, passes, 3, uv)
+    assert 0.6 < np.mean(values > 0) < 0.8
+    estimate = estimator.result()
+    np.testing.assert_allclose(estimate.mean, values.mean(-1), rtol=1e-5)
+    np.testing.assert_allclose(estimate.variance, values.var(-1, ddof=1), rtol=1e-4)
+
+
+def test_residuals_are_taken_against_the_network(device):
+    generator = np.random.default_rng(5)
+    description = NetworkDescription(Encoding(inputs=("position",)), 3, (5, 7))
+    parameters = generator.normal(size=description.parameter_count).astype(np.float32)
+    folded = generator.normal(size=(POINTS, 5)).astype(np.float32)
+    network = SimpleNamespace(
+        network=SimpleNamespace(description=description),
+        folded=HostArray.of(device, folded),
+        parameters=HostArray.of(device, parameters),
+    )
+    passes = [generator.uniform(size=(3, POINTS, n)) for n in (19, 40)]
+    uv = [generator.uniform(size=(2, POINTS, n)).astype(np.float32) for n in (19, 40)]
+    estimator, values = accumulated(device, passes, 3, uv, network)
+
+    part = {name: array.astype(float) for name, array in description.unpack(parameters).items()}
+    both = np.concatenate(uv, axis=-1).astype(float)
+    first = np.einsum("ji,ips->jps", part["W1"][:, :2], both) + folded.T[:, :, None]
+    second = np.einsum("kj,jps->kps", part["W2"], np.maximum(first, 0)) + part["B2"][:, None, None]
+    output = np.einsum("ck,kps->cps", part["W3"], np.maximum(second, 0)) + part["B3"][:, None, None]
+    for quantity, expected in enumerate([values, values - output]):
+        estimate = estimator.result(quantity)
+        scale = np.abs(output).max() if quantity else 1
+        np.testing.assert_allclose(estimate.mean, expected.mean(-1), atol=2e-6 * scale)
+        np.testing.assert_allclose(estimate.variance, expected.var(-1, ddof=1), rtol=1e-4)
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 32])
+@pytest.mark.parametrize("vector_width", [1, 4, 8, 16])
+def test_every_width_and_number_of_lanes_agrees(one_device, vector_width, lanes):
+    device = open_device(one_device.cl_device, one_device.index, vector_width, lanes)
+    generator = np.random.default_rng(1)
+    passes = [10 + generator.normal(size=(2, POINTS, n)) for n in (1, 100, 29)]
+    estimator, values = accumulated(device, passes, 2)
+    estimate = estimator.result()
+    np.testing.assert_allclose(estimate.mean, values.mean(-1), rtol=3e-7)
+    np.testing.assert_allclose(estimate.variance, values.var(-1, ddof=1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_thousands_of_passes_lose_nothing(device, samples):
+    generator = np.random.default_rng(6)
+    values = (100 + generator.normal(size=(1, POINTS, samples))).astype(np.float32)
+    other = values + np.float32(0.01)
+    batches = [make_batch(device, 0, array)[0] for array in (values, other)]
+    estimator = Estimator(device, some_points(), 1)
+    passes = 4000
+    for number in range(passes):
+        # Late passes move the mean by less than its last bit.
+        estimator.add(batches[number >= passes // 2])
+        estimator.finish_pass(samples)
+    everything = np.concatenate([values, other], axis=-1).astype(np.float64)
+    estimate = estimator.result()
+    np.testing.assert_allclose(estimate.mean, everything.mean(-1), rtol=1e-7)
+    expected = everything.var(-1) * passes * samples / (passes * samples - 1)
+    np.testing.assert_allclose(estimate.variance, expected, rtol=1e-4)
+
+
+def test_equal_values_have_no_variance(device):
+    values = np.full((1, POINTS, 64), 0.7)
+    estimator, _ = accumulated(device, [values, values[..., :5]], 1)
+    estimate = estimator.result()
+    np.testing.assert_allclose(estimate.mean, 0.7, rtol=1e-7)
+    assert (estimate.variance <= (1e-7) ** 2).all()
+
+
+@pytest.mark.parametrize("points", [0, POINTS])
+def test_no_samples_give_zeros(one_device, points):
+    estimate = Estimator(one_device, some_points(points), 3).result()
+    for array in (estimate.mean, estimate.variance, estimate.variance_of_mean):
+        np.testing.assert_array_equal(array, np.zeros((3, points)))

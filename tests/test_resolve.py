@@ -1,0 +1,144 @@
+"""From estimates to pixels: combination, box filter, variances, emission and layers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference import camera_at, light_at, mesh_scene, quad
+
+from ncv_cl.device import HostArray
+from ncv_cl.estimate import Estimate
+from ncv_cl.integrands import AmbientOcclusion, DirectLight
+from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
+from ncv_cl.resolve import PixelGrid, combine, resolve_image
+
+# 3 × 2 pixels of 2 × 2 sub-pixels: 6 columns. Pixel (0, 0) has sub-pixels 0, 1, 6, 7; pixel (1, 2)
+# has 16, 17, 22, 23. The last two points lie on lights 1 and 0.
+SIZE, SUPERSAMPLE = (3, 2), 2
+CELL = np.array([0, 1, 7, 16, 23, 6, 17], np.uint32)
+LIGHT = np.array([-1, -1, -1, -1, -1, 1, 0], np.int32)
+ACTIVE = 5
+LIGHTS = (
+    light_at([0, 0, 0], [1, 0, 0], [0, 1, 0], (1, 2, 3)),
+    light_at([0, 0, 0], [1, 0, 0], [0, 1, 0], (40, 50, 60)),
+)
+
+
+@pytest.fixture
+def scene():
+    return mesh_scene(quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), camera_at([1, 2, 3], [0, 0, 0]), LIGHTS)
+
+
+@pytest.fixture
+def points(one_device):
+    surface = np.random.default_rng(1).uniform(size=(ROW_COUNT, len(CELL))).astype(np.float32)
+    # Light 1 is seen from its front, light 0 from its back.
+    surface[ROW["OUTGOING"] : ROW["OUTGOING"] + 3] = 0
+    surface[ROW["OUTGOING"] + 2] = [1, 1, 1, 1, 1, 1, -1]
+    background = SIZE[0] * SIZE[1] * SUPERSAMPLE**2 - len(CELL)
+    return ShadingPoints(HostArray.of(one_device, surface), CELL, LIGHT, ACTIVE, background)
+
+
+def estimate_of(channels=3, points=ACTIVE, samples=10, seed=2):
+    mean, variance = np.random.default_rng(seed).uniform(1, 2, (2, channels, points))
+    return Estimate(mean, variance, samples)
+
+
+def test_pixels_and_variances_are_box_filtered(scene, points):
+    plain = estimate_of()
+    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
+    assert image.pixels.shape == image.variance.shape == (2, 3, 3)
+    np.testing.assert_allclose(image.pixels[0, 0], plain.mean[:, :3].sum(1) / 4, rtol=1e-6)
+    np.testing.assert_allclose(image.pixels[1, 2], plain.mean[:, 3:].sum(1) / 4, rtol=1e-6)
+    # Variance of a sum of independent means, each a quarter: a sixteenth of the variances of means.
+    np.testing.assert_allclose(image.variance[0, 0], plain.variance[:, :3].sum(1) / 10 / 16, rtol=1e-6)
+    np.testing.assert_allclose(image.variance[1, 2], plain.variance[:, 3:].sum(1) / 10 / 16, rtol=1e-6)
+    for empty in [(0, 1), (0, 2), (1, 0), (1, 1)]:
+        assert not image.pixels[empty].any() and not image.variance[empty].any()
+    assert "G" not in image.layers and "residual" not in image.layers
+
+
+def test_one_channel_becomes_grey(scene, points):
+    plain = estimate_of(channels=1)
+    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
+    np.testing.assert_allclose(image.pixels[0, 0], np.repeat(plain.mean[0, :3].sum() / 4, 3), rtol=1e-6)
+    np.testing.assert_array_equal(image.variance[..., 0], image.variance[..., 2])
+
+
+def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
+    plain = estimate_of()
+    dark = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
+    lit = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
+    expected = np.zeros((2, 3, 3))
+    expected[0, 0] = np.array([40, 50, 60]) / 4
+    np.testing.assert_allclose(lit.pixels - dark.pixels, expected, atol=1e-5)
+    np.testing.assert_array_equal(lit.variance, dark.variance)
+
+
+def test_layers_average_all_hits(scene, points):
+    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, estimate_of())
+    pixel00, pixel12 = [0, 1, 2, 5], [3, 4, 6]
+    for layer, name in (("albedo", "albedo"), ("N", "normal")):
+        rows = points.rows(name)
+        np.testing.assert_allclose(image.layers[layer][0, 0], rows[:, pixel00].sum(1) / 4, rtol=1e-6)
+        np.testing.assert_allclose(image.layers[layer][1, 2], rows[:, pixel12].sum(1) / 4, rtol=1e-6)
+    distance = np.linalg.norm(points.rows("position").T - [1, 2, 3], axis=1)
+    depth = image.layers["depth"]
+    assert depth.shape == (2, 3)
+    # Depth is the mean over what was hit: a half-covered pixel is not half as far.
+    np.testing.assert_allclose(depth[0, 0], distance[pixel00].mean(), rtol=1e-6)
+    np.testing.assert_allclose(depth[1, 2], distance[pixel12].mean(), rtol=1e-6)
+    assert depth[0, 1] == 0
+
+
+def test_the_networks_layers_add_up_to_the_estimate(scene, points):
+    plain, residual = estimate_of(), estimate_of(seed=3)
+    integral = np.random.default_rng(4).uniform(size=(3, ACTIVE))
+    image = resolve_image(
+        scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain, None, residual, integral
+    )
+    np.testing.assert_allclose(image.layers["G"][0, 0], integral[:, :3].sum(1) / 4)
+    np.testing.assert_allclose(image.layers["residual"][0, 0], residual.mean[:, :3].sum(1) / 4)
+    np.testing.assert_allclose(image.pixels, image.layers["G"] + image.layers["residual"], rtol=1e-6)
+
+
+def one(mean, variance, samples):
+    return Estimate(np.array([[mean]]), np.array([[variance]]), samples)
+
+
+@pytest.mark.parametrize(
+    ("training", "residual", "integral", "mean", "variance"),
+    [
+        (None, None, None, 5.0, 8 / 4),
+        (None, one(0.5, 0.4, 4), 3.0, 3.5, 0.4 / 4),
+        # 12 training samples and 4 others: weights 3/4 and 1/4.
+        (one(4.0, 6.0, 12), None, None, 0.75 * 4 + 0.25 * 5, 0.5625 * 6 / 12 + 0.0625 * 8 / 4),
+        (one(4.0, 6.0, 12), one(0.5, 0.4, 4), 3.0, 3 + 0.25 * 3.5, 0.5625 * 0.5 + 0.0625 * 0.1),
+    ],
+)
+def test_estimates_combine_as_by_hand(training, residual, integral, mean, variance):
+    integral = None if integral is None else np.array([[integral]])
+    combined = combine(one(5.0, 8.0, 4), training, residual, integral)
+    np.testing.assert_allclose(np.ravel(combined), [mean, variance])
+
+
+@pytest.mark.parametrize("supersample", [1, 3])
+def test_every_subpixel_belongs_to_one_pixel(supersample):
+    width, height = 5, 4
+    cells = np.arange(width * height * supersample**2, dtype=np.uint32)
+    points = ShadingPoints(None, cells, np.full(len(cells), -1), len(cells), 0)
+    grid = PixelGrid(points, (width, height), supersample)
+    image = cells.reshape(height, supersample, width, supersample).mean(axis=(1, 3))
+    average = grid.average(cells[None].astype(float), slice(None))[..., 0]
+    np.testing.assert_allclose(average, image)
+
+
+def test_a_picture_of_nothing_is_black(scene, one_device):
+    nothing = np.empty(0, np.uint32)
+    points = ShadingPoints(
+        HostArray(one_device, (ROW_COUNT, 0), np.float32), nothing, nothing.astype(int), 0, 24
+    )
+    plain = Estimate(np.zeros((3, 0)), np.zeros((3, 0)), 0)
+    image = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
+    for plane in (image.pixels, image.variance, *image.layers.values()):
+        assert not plane.any()
