@@ -31,16 +31,15 @@ void direction_blobs(const float3 direction, global float *restrict features, co
            stride);
 }
 
+#if FEATURES > GRID_LEVELS * GRID_FEATURES
 /* The rows after the grid's; they never change, so once per image is enough. */
 kernel void encode_fixed(const uint count, const uint stride, const uint total_points,
                          global const uint *restrict order, global const float *restrict surface,
                          global float *restrict features) {
   const uint column = (uint)get_global_id(0);
   if (column >= count) return;
-#if USE_NORMAL || USE_OUTGOING || USE_ALBEDO || USE_ROUGHNESS
   const ShadingPoint p = load_shading_point(surface, total_points, order[column]);
   global float *restrict row = features + GRID_LEVELS * GRID_FEATURES * (ulong)stride + column;
-#endif
 #if USE_NORMAL
   direction_blobs(p.normal, row, stride);
   row += 2 * BLOB_BINS * (ulong)stride;
@@ -59,6 +58,7 @@ kernel void encode_fixed(const uint count, const uint stride, const uint total_p
   row[0] = p.roughness;
 #endif
 }
+#endif
 
 uint corner_entry(const uint x, const uint y, const uint z, const uint corners_an_axis) {
   const ulong dense = (ulong)corners_an_axis * corners_an_axis * corners_an_axis;
@@ -93,20 +93,38 @@ kernel void grid_corners(const uint count, const uint stride, const uint total_p
   }
 }
 
-/* The grid's rows for columns first .. first + count, from the present table. */
-kernel void encode_grid(const uint first, const uint count, const uint stride,
-                        global const uint *restrict corner, global const float *restrict weight,
-                        global const float *restrict table, global float *restrict features) {
-  if ((uint)get_global_id(0) >= count) return;
-  const uint column = first + (uint)get_global_id(0);
+/* The features of one table entry together. */
+#if GRID_FEATURES == 1
+typedef float entry_features;
+#define LOAD_ENTRY(pointer) (*(pointer))
+#define STORE_ENTRY(value, pointer) (*(pointer) = (value))
+#else
+typedef JOIN(float, GRID_FEATURES) entry_features;
+#define LOAD_ENTRY(pointer) JOIN(vload, GRID_FEATURES)(0, pointer)
+#define STORE_ENTRY(value, pointer) JOIN(vstore, GRID_FEATURES)(value, 0, pointer)
+#endif
+
+/* One level's features of one column, from the present table. */
+entry_features grid_features(const uint level, const uint column, const uint stride,
+                             global const uint *restrict corner, global const float *restrict weight,
+                             global const float *restrict table) {
+  entry_features sum = (entry_features)0.0f;
+  for (uint k = 0; k < 8; ++k) {
+    const ulong at = (level * 8 + k) * (ulong)stride + column;
+    sum += weight[at] * LOAD_ENTRY(table + (ulong)corner[at] * GRID_FEATURES);
+  }
+  return sum;
+}
+
+/* The grid's rows of all columns, from the present table. */
+kernel void encode_grid(const uint count, const uint stride, global const uint *restrict corner,
+                        global const float *restrict weight, global const float *restrict table,
+                        global float *restrict features) {
+  const uint column = (uint)get_global_id(0);
+  if (column >= count) return;
   for (uint level = 0; level < GRID_LEVELS; ++level) {
     float sum[GRID_FEATURES];
-    for (uint f = 0; f < GRID_FEATURES; ++f) sum[f] = 0.0f;
-    for (uint k = 0; k < 8; ++k) {
-      const ulong at = (level * 8 + k) * (ulong)stride + column;
-      global const float *restrict entry = table + (ulong)corner[at] * GRID_FEATURES;
-      for (uint f = 0; f < GRID_FEATURES; ++f) sum[f] = fma(weight[at], entry[f], sum[f]);
-    }
+    STORE_ENTRY(grid_features(level, column, stride, corner, weight, table), sum);
     for (uint f = 0; f < GRID_FEATURES; ++f)
       features[(level * GRID_FEATURES + f) * (ulong)stride + column] = sum[f];
   }

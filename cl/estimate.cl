@@ -12,6 +12,7 @@
  * Work-group contract: one-dimensional, GROUP_POINTS * LANES work-items; local memory 3 floats a
  * work-item and a barrier after each step of the merge where LANES > 1, none of either where LANES is 1.
  * No work-item leaves early: those past the end repeat the last point and write nothing.
+ * Batch point i is shading point order[first_point + i].
  */
 
 #define QUANTITIES (1 + WITH_NETWORK)
@@ -50,11 +51,11 @@ void add_to_state(global float *restrict state, const ulong stride, const float 
 
 kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void accumulate(
     const uint first_point, const uint point_count, const uint total_points, const uint sample_count,
-    const uint stride, const float previous_count, global const float *restrict value,
+    const uint stride, const float previous_count, global const uint *restrict order,
+    global const float *restrict value,
     global const uint *restrict slot, global const uchar *restrict visible,
 #if WITH_NETWORK
-    global const float *restrict u, global const float *restrict v, global const float *restrict folded,
-    global const float *restrict parameters,
+    global const float *restrict u, global const float *restrict v, NETWORK_ARGUMENTS,
 #endif
     global float *restrict state) {
 #if LANES > 1
@@ -62,7 +63,8 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
 #endif
   const uint lane = (uint)get_local_id(0) % LANES;
   const uint item = (uint)get_global_id(0) / LANES;
-  const uint point = min(item, point_count - 1);
+  const uint batch_point = min(item, point_count - 1);
+  const uint point = order[first_point + batch_point];
   const ulong plane = (ulong)point_count * stride;
 
   real shift[QUANTITIES * CHANNELS];
@@ -70,8 +72,11 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   real squares[QUANTITIES * CHANNELS];
   for (int q = 0; q < QUANTITIES * CHANNELS; ++q) shift[q] = sum[q] = squares[q] = (real)0.0f;
   float count = 0.0f;
+#if WITH_NETWORK
+  const PointNetwork network = NETWORK_OF(point);
+#endif
   for (uint first = lane * VEC; first < sample_count; first += LANES * VEC) {
-    const ulong at = (ulong)point * stride + first;
+    const ulong at = (ulong)batch_point * stride + first;
     const real seen = load_visibility(slot, visible, at);
     const whole valid = LANE_NUMBER + first < sample_count;
     const float block_count = (float)min((uint)VEC, sample_count - first);
@@ -79,8 +84,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     for (uint c = 0; c < CHANNELS; ++c) x[c] = LOAD(value + c * plane + at) * seen;
 #if WITH_NETWORK
     real g[CHANNELS];
-    network_value(LOAD(u + at), LOAD(v + at), folded + (ulong)(first_point + point) * HIDDEN1, parameters,
-                  g);
+    network_value(&network, LOAD(u + at), LOAD(v + at), g);
     for (int c = 0; c < CHANNELS; ++c) x[CHANNELS + c] = x[c] - g[c];
 #endif
     for (int q = 0; q < QUANTITIES * CHANNELS; ++q) {
@@ -112,7 +116,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     barrier(CLK_LOCAL_MEM_FENCE);
 #endif
     if (lane == 0 && item < point_count)
-      add_to_state(state + (ulong)(q * STATE_FLOATS) * total_points + first_point + point, total_points,
+      add_to_state(state + (ulong)(q * STATE_FLOATS) * total_points + point, total_points,
                    previous_count, own);
   }
 }

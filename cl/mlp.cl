@@ -1,68 +1,138 @@
 /* The network g(u, v | phi): two hidden ReLU layers, VEC samples of one shading point at a time.
  *
- *   z1 = W_uv (u, v) + c(phi)     h1 = relu(z1)     c(phi) = W_phi features(phi) + b1
- *   z2 = W2 h1 + b2               h2 = relu(z2)
- *   g  = W3 h2 + b3
+ *   h1 = relu(W1 (u, v) + b1)     h2 = relu(W2 h1 + b2)     g = W3 h2 + b3
  *
  * (u, v) enter as they are, so g is piecewise affine in them and its integral is exact (integrate.cl).
- * Everything that depends on phi alone is folded once per shading point into c(phi) (kernel `fold`).
+ * phi acts through linear heads: every group of weights but W2 may be `base + H features(phi)`. Heads are
+ * evaluated once per shading point (kernel `fold`), and what remains is a small network of (u, v) alone.
  *
- * Memory layout: `parameters` is one float vector, matrices row-major: W1 (HIDDEN1 rows of 2 + FEATURES:
- * u, v, features), b1, W2, b2, W3, b3, starting at the AT_* constants of network.py. `folded` holds
- * HIDDEN1 floats a point, point after point. `features` is structure of arrays: feature f of point i at
- * features[f * stride + i].
+ * Memory layout: w1 (HIDDEN1, 2), b1, w2 (HIDDEN2, HIDDEN1), b2, w3 (CHANNELS, HIDDEN2), b3 are row-major,
+ * each its own array. Point p's part of array X starts at p * STRIDE_X; a stride of 0 means that all points
+ * share it. `parameters` is the trained vector that network.py describes: W2, then HEAD_ROWS rows of
+ * FEATURES + 1 floats (the last multiplies the constant 1), then BASE_ROWS single floats. Row ROW_X + i
+ * yields element i of group X; rows below HEAD_ROWS have features. `features` is structure of arrays:
+ * feature f of column i at features[f * stride + i].
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
 
-#define FIRST_INPUTS (2 + FEATURES)
+/* The arrays of one shading point. */
+typedef struct {
+  global const float *w1;
+  global const float *b1;
+  global const float *w2;
+  global const float *b2;
+  global const float *w3;
+  global const float *b3;
+} PointNetwork;
 
-/* g at VEC samples of the point whose folded biases are given. */
-void network_value(const real u, const real v, global const float *restrict folded,
-                   global const float *restrict parameters, real value[CHANNELS]) {
-  real h1[HIDDEN1];
-  for (int j = 0; j < HIDDEN1; ++j) {
-    global const float *restrict row = parameters + AT_W1 + j * FIRST_INPUTS;
-    h1[j] = max(FMA((real)row[0], u, FMA((real)row[1], v, (real)folded[j])), (real)0.0f);
+#define NETWORK_ARGUMENTS                                                                   \
+  global const float *restrict w1, global const float *restrict b1, global const float *restrict w2, \
+      global const float *restrict b2, global const float *restrict w3, global const float *restrict b3
+
+#define NETWORK_OF(point)                                                                       \
+  {                                                                                             \
+    w1 + (ulong)(point) * STRIDE_W1, b1 + (ulong)(point) * STRIDE_B1, w2,                       \
+        b2 + (ulong)(point) * STRIDE_B2, w3 + (ulong)(point) * STRIDE_W3, b3 + (ulong)(point) * STRIDE_B3 \
   }
-  for (int c = 0; c < CHANNELS; ++c) value[c] = (real)parameters[AT_B3 + c];
-  for (int j = 0; j < HIDDEN2; ++j) {
-    real z = (real)parameters[AT_B2 + j];
-    for (int i = 0; i < HIDDEN1; ++i)
-      z = FMA((real)parameters[AT_W2 + j * HIDDEN1 + i], h1[i], z);
-    const real h2 = max(z, (real)0.0f);
-    for (int c = 0; c < CHANNELS; ++c)
-      value[c] = FMA((real)parameters[AT_W3 + c * HIDDEN2 + j], h2, value[c]);
+
+/* Second-layer neurons computed side by side: independent sums hide the latency of FMA. */
+#if HIDDEN2 % 4 == 0
+#define NEURON_BLOCK 4
+#elif HIDDEN2 % 2 == 0
+#define NEURON_BLOCK 2
+#else
+#define NEURON_BLOCK 1
+#endif
+
+/* g at VEC samples. Inner loops are unrolled so that activations can live in registers. */
+void network_value(const PointNetwork *network, const real u, const real v, real value[CHANNELS]) {
+  real h1[HIDDEN1];
+#pragma unroll
+  for (int j = 0; j < HIDDEN1; ++j) {
+    const real z = FMA((real)network->w1[2 * j], u, FMA((real)network->w1[2 * j + 1], v, (real)network->b1[j]));
+    h1[j] = max(z, (real)0.0f);
+  }
+#pragma unroll
+  for (int c = 0; c < CHANNELS; ++c) value[c] = (real)network->b3[c];
+  for (int j = 0; j < HIDDEN2; j += NEURON_BLOCK) {
+    real z[NEURON_BLOCK];
+#pragma unroll
+    for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = (real)network->b2[j + k];
+#pragma unroll 4
+    for (int i = 0; i < HIDDEN1; ++i) {
+#pragma unroll
+      for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = FMA((real)network->w2[(j + k) * HIDDEN1 + i], h1[i], z[k]);
+    }
+#pragma unroll
+    for (int k = 0; k < NEURON_BLOCK; ++k) {
+      const real h2 = max(z[k], (real)0.0f);
+#pragma unroll
+      for (int c = 0; c < CHANNELS; ++c)
+        value[c] = FMA((real)network->w3[c * HIDDEN2 + j + k], h2, value[c]);
+    }
   }
 }
 
-/* Folded biases c(phi) of VEC points a work-item, from their features. */
-kernel void fold(const uint count, const uint stride, global const float *restrict features,
-                 global const float *restrict parameters, global float *restrict folded) {
+/* Rows row .. row + count of the heads for VEC points, each point's values consecutive in `group`.
+ * `factor`, where not null, holds a plane of `factor_stride` floats a channel, and row i of the group is
+ * multiplied by channel i / rows_a_channel. */
+void fold_group(const uint row, const uint count, const uint first, const uint end, const uint stride,
+                const uint first_point, global const float *restrict features,
+                global const float *restrict parameters, global const float *restrict factor,
+                const uint factor_stride, const uint rows_a_channel, global float *restrict group) {
+  for (uint k = 0; k < count; ++k) {
+    global const float *restrict head = parameters + AT_HEADS + (row + k) * (FEATURES + 1);
+    real sum = (real)head[FEATURES];
+    for (uint f = 0; f < FEATURES; ++f) sum = FMA((real)head[f], LOAD(features + f * (ulong)stride + first), sum);
+    float values[VEC];
+    STORE(sum, values);
+    for (uint lane = 0; lane < VEC && first + lane < end; ++lane) {
+      const ulong point = first_point + first + lane;
+      const float scale = factor ? factor[(k / rows_a_channel) * (ulong)factor_stride + point] : 1.0f;
+      group[point * count + k] = values[lane] * scale;
+    }
+  }
+}
+
+/* The per-point groups of points first_point .. first_point + count, whose features are the first `count`
+ * columns. The output layer takes the factor of what the network learned (DEMODULATED). */
+kernel void fold(const uint count, const uint stride, const uint first_point, const uint factor_stride,
+                 global const float *restrict features, global const float *restrict parameters,
+                 global const float *restrict factor, global float *restrict w1, global float *restrict b1,
+                 global float *restrict b2, global float *restrict w3, global float *restrict b3) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
-  for (uint j = 0; j < HIDDEN1; ++j) {
-    real sum = (real)parameters[AT_B1 + j];
-    for (uint f = 0; f < FEATURES; ++f)
-      sum = FMA((real)parameters[AT_W1 + j * FIRST_INPUTS + 2 + f], LOAD(features + f * (ulong)stride + first),
-                sum);
-    float bias[VEC];
-    STORE(sum, bias);
-    for (uint lane = 0; lane < VEC && first + lane < count; ++lane)
-      folded[(ulong)(first + lane) * HIDDEN1 + j] = bias[lane];
-  }
+#if STRIDE_W1
+  fold_group(ROW_W1, STRIDE_W1, first, count, stride, first_point, features, parameters, 0, 0, 1, w1);
+#endif
+#if STRIDE_B1
+  fold_group(ROW_B1, STRIDE_B1, first, count, stride, first_point, features, parameters, 0, 0, 1, b1);
+#endif
+#if STRIDE_B2
+  fold_group(ROW_B2, STRIDE_B2, first, count, stride, first_point, features, parameters, 0, 0, 1, b2);
+#endif
+#if STRIDE_W3
+  fold_group(ROW_W3, STRIDE_W3, first, count, stride, first_point, features, parameters,
+             DEMODULATED ? factor : 0, factor_stride, HIDDEN2, w3);
+#endif
+#if STRIDE_B3
+  fold_group(ROW_B3, STRIDE_B3, first, count, stride, first_point, features, parameters,
+             DEMODULATED ? factor : 0, factor_stride, 1, b3);
+#endif
 }
 
 /* g at `stride` samples a point: values in one plane of point_count * stride a channel. */
-kernel void evaluate(const uint point_count, const uint stride, global const float *restrict u,
-                     global const float *restrict v, global const float *restrict folded,
-                     global const float *restrict parameters, global float *restrict value) {
+kernel void evaluate(const uint first_point, const uint point_count, const uint stride,
+                     global const float *restrict u, global const float *restrict v, NETWORK_ARGUMENTS,
+                     global float *restrict value) {
   const uint blocks = stride / VEC;
   const uint item = (uint)get_global_id(0);
   if (item >= point_count * blocks) return;
   const uint point = item / blocks;
   const ulong at = (ulong)point * stride + (item % blocks) * VEC;
+  const PointNetwork network = NETWORK_OF(first_point + point);
   real g[CHANNELS];
-  network_value(LOAD(u + at), LOAD(v + at), folded + (ulong)point * HIDDEN1, parameters, g);
+  network_value(&network, LOAD(u + at), LOAD(v + at), g);
   for (uint c = 0; c < CHANNELS; ++c) STORE(g[c], value + c * (ulong)point_count * stride + at);
 }

@@ -1,7 +1,7 @@
 /* Draw samples of an integrand: coordinates, unshadowed values, and the rays that decide visibility.
  *
  * Joined after the integrand's own file, which defines evaluate_integrand. A batch holds `point_count`
- * shading points with `stride` samples each (a multiple of VEC); sample s of point p is element
+ * shading points, order[first_point] and on, with `stride` samples each (a multiple of VEC); sample s of point p is element
  * p * stride + s of `u`, `v`, `slot`, and of each channel's plane of `value`. Samples past
  * `sample_count` are padding with value zero.
  *
@@ -16,7 +16,7 @@
 kernel void draw_samples(const uint first_point, const uint point_count, const uint total_points,
                          const uint first_sample, const uint sample_count, const uint stride,
                          const uint stream, const uint seed_low, const uint seed_high,
-                         global const float *restrict surface,
+                         global const uint *restrict order, global const float *restrict surface,
                          global const float *restrict integrand_data, global float *restrict u,
                          global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
@@ -27,7 +27,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   if (item >= point_count * blocks) return;
   const uint local_point = item / blocks;
   const uint block = item % blocks;
-  const uint point = first_point + local_point;
+  const uint point = order[first_point + local_point];
   const ulong at = (ulong)local_point * stride + block * VEC;
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
@@ -68,4 +68,27 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     }
     slot[at + lane] = own;
   }
+}
+
+/* Mean of the unshadowed integrand over MEAN_SAMPLES points of the square, a plane of `point_count` floats
+ * a channel. One work-item a shading point. */
+kernel void unshadowed_means(const uint point_count, const uint total_points, const uint stream,
+                             const uint seed_low, const uint seed_high,
+                             global const float *restrict surface,
+                             global const float *restrict integrand_data, global float *restrict means) {
+  const uint point = (uint)get_global_id(0);
+  if (point >= point_count) return;
+  const ShadingPoint p = load_shading_point(surface, total_points, point);
+  real sum[CHANNELS];
+  for (uint channel = 0; channel < CHANNELS; ++channel) sum[channel] = (real)0.0f;
+  for (uint first = 0; first < MEAN_SAMPLES; first += VEC) {
+    real sample_u, sample_v, distance;
+    real value[CHANNELS];
+    real direction[3];
+    sample_square(point, LANE_NUMBER + first, stream, seed_low, seed_high, &sample_u, &sample_v);
+    evaluate_integrand(&p, integrand_data, sample_u, sample_v, value, direction, &distance);
+    for (uint channel = 0; channel < CHANNELS; ++channel) sum[channel] += value[channel];
+  }
+  for (uint channel = 0; channel < CHANNELS; ++channel)
+    means[channel * (ulong)point_count + point] = sum_lanes(sum[channel]) / (float)MEAN_SAMPLES;
 }

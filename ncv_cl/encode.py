@@ -128,7 +128,8 @@ class Encoder:
         self.weight = HostArray(device, corners, np.float32)
         place = (self.count, self.stride, points.total)
         kernel = self._program.kernel
-        kernel("encode_fixed")(self.count, *place, order, points.surface, self.features)
+        if encoding.feature_count > encoding.grid_rows:
+            kernel("encode_fixed")(self.count, *place, order, points.surface, self.features)
         kernel("grid_corners")(
             self.count,
             *place,
@@ -140,9 +141,8 @@ class Encoder:
             self.weight,
         )
 
-    def encode_grid(self, table: HostArray, first: int = 0, count: int | None = None) -> None:
-        """Refresh the grid's feature rows of `count` columns from `table`."""
-        count = self.count if count is None else count
+    def encode_grid(self, table: HostArray) -> None:
+        """Refresh the grid's feature rows from `table`."""
         self._program.kernel("encode_grid")(
-            count, first, count, self.stride, self.corner, self.weight, table, self.features
+            self.count, self.count, self.stride, self.corner, self.weight, table, self.features
         )

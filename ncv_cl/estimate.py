@@ -23,13 +23,13 @@ class Estimate:
     ----------
     mean, variance : ndarray
         float64 (channels, points): the mean, and the variance of a single sample (unbiased).
-    samples : int
-        Samples of each point.
+    samples : ndarray
+        float64 (points,), samples of each point.
     """
 
     mean: np.ndarray
     variance: np.ndarray
-    samples: int
+    samples: np.ndarray
 
     @property
     def variance_of_mean(self) -> np.ndarray:
@@ -37,7 +37,7 @@ class Estimate:
 
         Zero samples have no variance to speak of: zeros.
         """
-        return self.variance / max(self.samples, 1)
+        return self.variance / np.maximum(self.samples, 1)
 
 
 class Estimator:
@@ -48,6 +48,8 @@ class Estimator:
     device, points, channels
     network : FoldedNetwork, optional
         The control variate.
+    chosen : ndarray, optional
+        uint32, the points that will be given samples; all active ones by default.
     """
 
     def __init__(
@@ -56,7 +58,9 @@ class Estimator:
         points: ShadingPoints,
         channels: int,
         network: FoldedNetwork | None = None,
+        chosen: np.ndarray | None = None,
     ) -> None:
+        self._chosen = slice(None) if chosen is None else chosen
         self.points = points
         self.channels = channels
         self.network = network
@@ -81,10 +85,10 @@ class Estimator:
         self._state.fill(0.0)
 
     def add(self, batch: Batch) -> None:
-        """Add a batch. Every point must have been given the same number of samples before."""
-        inputs = [batch.value, batch.slot, batch.visible]
+        """Add a batch. Its points must all have been given the same number of samples before."""
+        inputs = [batch.order, batch.value, batch.slot, batch.visible]
         if self.network is not None:
-            inputs += [batch.u, batch.v, self.network.folded, self.network.parameters]
+            inputs += [batch.u, batch.v, *self.network.arrays]
         self._accumulate(
             len(batch.points) * self._lanes,
             batch.points.start,
@@ -99,7 +103,7 @@ class Estimator:
         )
 
     def finish_pass(self, samples: int) -> None:
-        """Say that every point has been given `samples` more."""
+        """Say that each of the points has been given `samples` more."""
         self.samples += samples
 
     def result(self, quantity: int = 0) -> Estimate:
@@ -107,4 +111,6 @@ class Estimator:
         state = self._state.read().astype(np.float64)
         state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)[quantity]
         variance = state[:, 2] / max(self.samples - 1, 1)
-        return Estimate(state[:, 0] + state[:, 1], variance, self.samples)
+        samples = np.zeros(self.points.active)
+        samples[self._chosen] = self.samples
+        return Estimate(state[:, 0] + state[:, 1], variance, samples)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,6 +22,10 @@ class NetworkError(ValueError):
     """A network that does not fit: a bad file, or other features than the scene's."""
 
 
+# Groups of weights that φ may act on, in the order of their rows; W2 is the same for all points.
+GROUPS = ("W1", "B1", "B2", "W3", "B3")
+
+
 @dataclass(frozen=True)
 class NetworkDescription:
     """All that fixes the network but its numbers; training, inference and integration follow it.
@@ -32,50 +37,91 @@ class NetworkDescription:
         Outputs.
     hidden : tuple of int
         Widths of the two hidden ReLU layers.
+    modulated : tuple of str
+        Those of `GROUPS` that are ``base + head · features(φ)``; the others are ``base`` alone.
+    demodulated : bool
+        Whether the network learns f over the mean of its unshadowed part, point by point.
     """
 
     encoding: Encoding
     channels: int
-    hidden: tuple[int, int] = (32, 32)
+    hidden: tuple[int, int] = (16, 16)
+    modulated: tuple[str, ...] = GROUPS
+    demodulated: bool = False
 
     @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each parameter array, in the order in which the parameter vector holds them."""
+    def group_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of each group's weights at one shading point."""
         first, second = self.hidden
         return {
-            "W1": (first, 2 + self.encoding.feature_count),
+            "W1": (first, 2),
             "B1": (first,),
-            "W2": (second, first),
             "B2": (second,),
             "W3": (self.channels, second),
             "B3": (self.channels,),
         }
 
     @property
-    def parameter_count(self) -> int:
-        return sum(int(np.prod(shape)) for shape in self.shapes.values())
+    def group_rows(self) -> dict[str, int]:
+        """First row of each group: modulated groups, which have heads, come first."""
+        order = [g for g in GROUPS if g in self.modulated] + [
+            g for g in GROUPS if g not in self.modulated
+        ]
+        rows, row = {}, 0
+        for group in order:
+            rows[group] = row
+            row += math.prod(self.group_shapes[group])
+        return rows
 
-    def unpack(self, parameters: np.ndarray) -> dict[str, np.ndarray]:
-        """Views of the arrays in a parameter vector."""
-        views, start = {}, 0
-        for name, shape in self.shapes.items():
-            size = int(np.prod(shape))
-            views[name] = parameters[start : start + size].reshape(shape)
-            start += size
-        return views
+    @property
+    def head_rows(self) -> int:
+        return sum(math.prod(self.group_shapes[group]) for group in self.modulated)
+
+    @property
+    def base_rows(self) -> int:
+        return sum(math.prod(shape) for shape in self.group_shapes.values()) - self.head_rows
+
+    @property
+    def parameter_count(self) -> int:
+        heads = self.head_rows * (self.encoding.feature_count + 1)
+        return math.prod(self.hidden) + heads + self.base_rows
+
+    def unpack(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Views of a parameter vector: W2, heads (rows, features + 1), bases (rows,)."""
+        first, second = self.hidden
+        heads_at = first * second
+        bases_at = parameters.size - self.base_rows
+        w2 = parameters[:heads_at].reshape(second, first)
+        heads = parameters[heads_at:bases_at].reshape(self.head_rows, self.encoding.feature_count + 1)
+        return w2, heads, parameters[bases_at:]
+
+    def base(self, parameters: np.ndarray, group: str) -> np.ndarray:
+        """View of a group's base: what it is where all features are zero."""
+        _, heads, bases = self.unpack(parameters)
+        rows, shape = self.group_rows[group], self.group_shapes[group]
+        count = math.prod(shape)
+        if group in self.modulated:
+            return heads[rows : rows + count, -1].reshape(shape)
+        start = rows - self.head_rows
+        return bases[start : start + count].reshape(shape)
 
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
-        starts, start = {}, 0
-        for name, shape in self.shapes.items():
-            starts[f"AT_{name}"] = start
-            start += int(np.prod(shape))
+        shapes = self.group_shapes
+        heads_at = math.prod(self.hidden)
+        strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in GROUPS}
         return {
             **self.encoding.defines(),
-            **starts,
+            **{f"ROW_{group}": row for group, row in self.group_rows.items()},
+            **{f"STRIDE_{group}": stride for group, stride in strides.items()},
+            "HEAD_ROWS": self.head_rows,
+            "BASE_ROWS": self.base_rows,
+            "AT_HEADS": heads_at,
+            "AT_BASES": heads_at + self.head_rows * (self.encoding.feature_count + 1),
             "HIDDEN1": self.hidden[0],
             "HIDDEN2": self.hidden[1],
             "CHANNELS": self.channels,
+            "DEMODULATED": int(self.demodulated),
         }
 
 
@@ -103,13 +149,20 @@ class Network:
         """He-uniform weights, first-layer lines spread over the unit square, a grid near zero."""
         generator = np.random.Generator(np.random.Philox(seed))
         parameters = np.zeros(description.parameter_count, np.float32)
-        views = description.unpack(parameters)
-        for name in ("W1", "W2", "W3"):
-            limit = np.sqrt(6.0 / views[name].shape[1])
-            views[name][...] = generator.uniform(-limit, limit, views[name].shape)
+        first, second = description.hidden
+        w2, heads, _ = description.unpack(parameters)
+        features = description.encoding.feature_count
+        heads[...] = generator.uniform(-1, 1, heads.shape) * np.sqrt(6.0 / (2 + features))
+        w2[...] = generator.uniform(-1, 1, w2.shape) * np.sqrt(6.0 / first)
+        w1 = description.base(parameters, "W1")
+        w1[...] = generator.uniform(-1, 1, w1.shape) * np.sqrt(6.0)
+        w3 = description.base(parameters, "W3")
+        w3[...] = generator.uniform(-1, 1, w3.shape) * np.sqrt(6.0 / second)
         # Each first-layer line passes through a random point of the square, before features move it.
-        through = generator.uniform(size=(description.hidden[0], 2))
-        views["B1"][...] = -np.sum(views["W1"][:, :2] * through, axis=1)
+        through = generator.uniform(size=(first, 2))
+        description.base(parameters, "B1")[...] = -np.sum(w1 * through, axis=1)
+        description.base(parameters, "B2")[...] = 0.0
+        description.base(parameters, "B3")[...] = 0.0
         table = generator.uniform(-1e-4, 1e-4, description.encoding.table_shape).astype(np.float32)
         return cls(description, parameters, table, cube)
 
@@ -136,10 +189,13 @@ class Network:
             raise NetworkError(f"{path} is not a network saved by ncv_cl: {error}") from error
         encoding = dict(about["description"]["encoding"])
         encoding["inputs"] = tuple(encoding["inputs"])
+        stored = about["description"]
         description = NetworkDescription(
             Encoding(**encoding),
-            about["description"]["channels"],
-            tuple(about["description"]["hidden"]),
+            stored["channels"],
+            tuple(stored["hidden"]),
+            tuple(stored["modulated"]),
+            stored["demodulated"],
         )
         expected = (description.parameter_count,), description.encoding.table_shape
         if (parameters.shape, table.shape) != expected:
@@ -154,42 +210,74 @@ class Network:
 class FoldedNetwork:
     """A network with φ folded in: per shading point, a small network of (u, v) alone.
 
+    Parameters
+    ----------
+    device, network, points
+    factor : HostArray, optional
+        float32 (channels, points.active), what a demodulated network's output is multiplied by.
+
     Attributes
     ----------
-    network : Network
-    folded : HostArray
-        float32 (points.active, HIDDEN1), the first layer's bias of each active point.
-    parameters : HostArray
-        float32 (description.parameter_count,).
+    arrays : tuple of HostArray
+        w1, b1, w2, b2, w3, b3 as mlp.cl takes them: modulated groups with a leading points axis.
     """
 
-    def __init__(self, device: Device, network: Network, points: ShadingPoints) -> None:
+    def __init__(
+        self,
+        device: Device,
+        network: Network,
+        points: ShadingPoints,
+        factor: HostArray | None = None,
+    ) -> None:
         self.device = device
         self.network = network
-        self.parameters = HostArray.of(device, network.parameters)
-        hidden = network.description.hidden[0]
-        self.folded = HostArray(device, (points.active, hidden), np.float32)
+        description = network.description
+        if description.demodulated != (factor is not None):
+            raise NetworkError("a demodulated network needs the points' factors, another takes none")
+        parameters = HostArray.of(device, network.parameters)
+        self.groups: dict[str, HostArray] = {}
+        for group, shape in description.group_shapes.items():
+            if group in description.modulated:
+                self.groups[group] = HostArray(device, (points.active, *shape), np.float32)
+            else:
+                self.groups[group] = HostArray.of(device, description.base(network.parameters, group))
+        self._w2 = HostArray.of(device, description.unpack(network.parameters)[0])
         table = HostArray.of(device, network.table)
-        fold = self.program().kernel("fold")
         for first in range(0, points.active, POINTS_PER_FOLD):
             count = min(POINTS_PER_FOLD, points.active - first)
             order = HostArray.of(device, np.arange(first, first + count, dtype=np.uint32))
-            encoder = Encoder(device, network.description.encoding, points, network.cube, order)
+            encoder = Encoder(device, description.encoding, points, network.cube, order)
             encoder.encode_grid(table)
-            part = self.folded.buffer.get_sub_region(first * hidden * 4, count * hidden * 4)
-            groups = -(-count // device.vector_width)
-            fold(groups, count, encoder.stride, encoder.features, self.parameters, part)
+            self.program().kernel("fold")(
+                -(-count // device.vector_width),
+                count,
+                encoder.stride,
+                first,
+                points.active,
+                encoder.features,
+                parameters,
+                factor if factor is not None else parameters,
+                *(self.groups[group] for group in GROUPS),
+            )
             device.queue.finish()
+
+    @property
+    def arrays(self) -> tuple[HostArray, ...]:
+        groups = self.groups
+        return groups["W1"], groups["B1"], self._w2, groups["B2"], groups["W3"], groups["B3"]
 
     def program(self) -> Program:
         return build(self.device, ("common", "mlp"), self.network.description.defines())
 
     def layers(self) -> tuple[list[HostArray], list[HostArray]]:
-        """Weights and biases as `Integrator.run` takes them; the first bias is per point."""
-        views = self.network.description.unpack(self.network.parameters)
-        arrays = {
-            name: HostArray.of(self.device, np.ascontiguousarray(view)) for name, view in views.items()
-        }
-        uv_columns = HostArray.of(self.device, np.ascontiguousarray(views["W1"][:, :2]))
-        weights = [uv_columns, arrays["W2"], arrays["W3"]]
-        return weights, [self.folded, arrays["B2"], arrays["B3"]]
+        """Weights and biases as `Integrator.run` takes them."""
+        w1, b1, w2, b2, w3, b3 = self.arrays
+        return [w1, w2, w3], [b1, b2, b3]
+
+    @property
+    def per_point(self) -> tuple[list[bool], list[bool]]:
+        """Which weights and biases have a leading points axis."""
+        modulated = self.network.description.modulated
+        return ["W1" in modulated, False, "W3" in modulated], [
+            b in modulated for b in ("B1", "B2", "B3")
+        ]

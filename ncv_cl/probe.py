@@ -18,8 +18,8 @@ from .encode import Encoding
 from .network import NetworkDescription
 from .program import build
 
-# The network that is timed: the slides' two layers of 32 with three outputs.
-_DESCRIPTION = NetworkDescription(Encoding(inputs=("position",)), channels=3)
+# The network that is timed: the slides' two layers of 32 with three outputs, biases per point.
+_DESCRIPTION = NetworkDescription(Encoding(("position",)), 3, (32, 32), modulated=("B1",))
 _POINTS, _SAMPLES = 1024, 64
 _SECONDS = 0.5
 
@@ -46,18 +46,22 @@ def _inference_nanoseconds(device: Device, use_fma: bool) -> float:
     )
     evaluate = build(device, ("common", "mlp"), _DESCRIPTION.defines()).kernel("evaluate")
     generator = np.random.Generator(np.random.Philox(0))
-    hidden = _DESCRIPTION.hidden[0]
-    parameters = generator.normal(size=_DESCRIPTION.parameter_count).astype(np.float32)
-    folded = generator.normal(size=(_POINTS, hidden)).astype(np.float32)
-    uv = generator.uniform(size=(2, _POINTS, _SAMPLES)).astype(np.float32)
-    arguments = [HostArray.of(device, array) for array in (uv[0], uv[1], folded, parameters)]
+    uv = generator.uniform(size=(2, _POINTS, _SAMPLES))
+    shapes = _DESCRIPTION.group_shapes
+    groups = {
+        name: generator.normal(size=((_POINTS,) if name in _DESCRIPTION.modulated else ()) + shape)
+        for name, shape in shapes.items()
+    }
+    w2 = generator.normal(size=_DESCRIPTION.hidden[::-1])
+    arrays = (*uv, groups["W1"], groups["B1"], w2, groups["B2"], groups["W3"], groups["B3"])
+    arguments = [HostArray.of(device, array.astype(np.float32)) for array in arrays]
     value = HostArray(device, (_DESCRIPTION.channels, _POINTS, _SAMPLES), np.float32)
     items = _POINTS * _SAMPLES // device.vector_width
     times = []
     started = time.perf_counter()
     while time.perf_counter() - started < _SECONDS or len(times) < 3:
         begun = time.perf_counter()
-        evaluate(items, _POINTS, _SAMPLES, *arguments, value)
+        evaluate(items, 0, _POINTS, _SAMPLES, *arguments, value)
         device.queue.finish()
         times.append(time.perf_counter() - begun)
     return float(np.median(times[1:])) / (_POINTS * _SAMPLES) * 1e9

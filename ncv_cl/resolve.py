@@ -29,7 +29,7 @@ def combine(
         mean, variance = integral + residual.mean, residual.variance_of_mean
     if training is None:
         return mean, variance
-    share = training.samples / (training.samples + plain.samples)
+    share = training.samples / np.maximum(training.samples + plain.samples, 1)
     return (
         share * training.mean + (1 - share) * mean,
         share**2 * training.variance_of_mean + (1 - share) ** 2 * variance,

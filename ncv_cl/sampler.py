@@ -18,6 +18,7 @@ class Stream(enum.IntEnum):
 
     RESIDUAL = 0
     TRAINING = 1
+    UNSHADOWED = 2
 
 
 def sampler_defines(sampler: str) -> dict[str, int]:

@@ -11,13 +11,15 @@ from .device import Device, HostArray
 from .integrands import Integrand
 from .points import ShadingPoints, surface_defines
 from .program import build
-from .sampler import sampler_defines, seed_words
+from .sampler import Stream, sampler_defines, seed_words
 from .scene import Scene
 from .trace import Tracer
 
 NO_RAY = 0xFFFFFFFF
 # Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
+# Samples whose mean stands for the unshadowed integral; it only scales what the network learns.
+MEAN_SAMPLES = 64
 
 
 @dataclass
@@ -36,7 +38,9 @@ class Batch:
     Attributes
     ----------
     points : range
-        The shading points.
+        Where in `order` the batch's shading points are.
+    order : HostArray
+        uint32, indices of shading points.
     samples : int
         Samples of each point; `stride` elements are reserved for each.
     u, v, value, slot, visible : HostArray
@@ -44,6 +48,7 @@ class Batch:
     """
 
     points: range
+    order: HostArray
     samples: int
     stride: int
     u: HostArray
@@ -88,9 +93,11 @@ class SampleSource:
             **sampler_defines(sampler),
             **integrand.defines(scene),
             "NO_RAY": f"{NO_RAY}u",
+            "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
         }
         files = ("common", "sampler", "surface", *integrand.files, "samples")
-        self._draw = build(device, files, defines).kernel("draw_samples")
+        self._program = build(device, files, defines)
+        self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
 
         self.stride = -(-samples_per_point // device.vector_width) * device.vector_width
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
@@ -105,23 +112,38 @@ class SampleSource:
         self._distances = HostArray(device, capacity, np.float32)
         self._ray_count = HostArray(device, 1, np.uint32)
 
-    def point_batches(self) -> list[range]:
-        """The active points cut into ranges that fit a batch."""
+    def batches(self, count: int | None = None) -> list[range]:
+        """`count` points (all active ones by default) cut into ranges that fit a batch."""
         step = self.points_per_batch
-        return [
-            range(first, min(first + step, self.points.active))
-            for first in range(0, self.points.active, step)
-        ]
+        count = self.points.active if count is None else count
+        return [range(first, min(first + step, count)) for first in range(0, count, step)]
 
-    def draw(self, points: range, samples: range, stream: int) -> Batch:
-        """Sample `points` (at most `points_per_batch`) and trace the rays that can matter.
+    def unshadowed_means(self) -> HostArray:
+        """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
+        active = self.points.active
+        means = HostArray(self.device, (self.channels, active), np.float32)
+        self._program.kernel("unshadowed_means")(
+            active,
+            active,
+            self.points.total,
+            Stream.UNSHADOWED,
+            *self._seed,
+            self.points.surface,
+            self._data,
+            means,
+        )
+        return means
 
-        The batch is valid until the next call.
+    def draw(self, points: range, samples: range, stream: int, order: HostArray | None = None) -> Batch:
+        """Sample points order[i], i in `points` (at most `points_per_batch`), and trace what matters.
+
+        Without an `order` these are the points themselves. The batch is valid until the next call.
         """
+        order = self._every_point if order is None else order
         count = len(samples)
         stride = -(-count // self.device.vector_width) * self.device.vector_width
         self._ray_count.fill(0)
-        self._draw(
+        self._program.kernel("draw_samples")(
             len(points) * stride // self.device.vector_width,
             points.start,
             len(points),
@@ -131,6 +153,7 @@ class SampleSource:
             stride,
             stream,
             *self._seed,
+            order,
             self.points.surface,
             self._data,
             self._u,
@@ -154,4 +177,6 @@ class SampleSource:
         self.rays.seconds += time.perf_counter() - started
         self.rays.traced += rays
         self.rays.skipped += len(points) * count - rays
-        return Batch(points, count, stride, self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(
+            points, order, count, stride, self._u, self._v, self._value, self._slot, self._visible
+        )

@@ -38,6 +38,8 @@ class Tracer:
     """
 
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
+        if threads is not None and (int(threads) != threads or threads < 1):
+            raise ValueError(f"threads must be a whole number of at least 1, got {threads!r}")
         self.threads = threads or len(os.sched_getaffinity(0))
         # Robust traversal: no ray slips through the edge between two triangles.
         self._scene = rtcore_scene.EmbreeScene(robust=True)

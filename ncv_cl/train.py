@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,9 @@ from .samples import NO_RAY, Batch
 
 # Bytes of local memory that the gradient kernel may use; every GPU has this much.
 LOCAL_BYTES = 48 << 10
+# On CPUs local memory is cache; a tile should stay in the second level.
+CPU_LOCAL_BYTES = 256 << 10
+MAX_TILE = 64
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
 
@@ -27,19 +31,31 @@ class TrainSettings:
     Attributes
     ----------
     batch : int
-        Training points a minibatch, about; each takes one sample, then one Adam step follows.
-    rate, beta1, beta2, epsilon : float
-        Adam's step size and constants.
+        Training points a minibatch, about.
+    samples_a_step : int
+        Samples of each of them that one Adam step sees; heads are paid once for all of these.
+    passes : int
+        How often each stored sample is used.
+    rate, final_rate : float
+        Adam's step size at first and, after a cosine decay, at last.
+    beta1, beta2, epsilon : float
+        Adam's constants.
     average_decay : float
         Weight of the past in the moving average of all parameters; the average is what is used.
+    weight_power : float
+        Demodulated networks: samples weigh as this power of the point's factor.
     """
 
-    batch: int = 1024
+    batch: int = 128
+    samples_a_step: int = 4
+    passes: int = 4
     rate: float = 1e-2
+    final_rate: float = 1e-3
     beta1: float = 0.9
     beta2: float = 0.99
     epsilon: float = 1e-8
     average_decay: float = 0.99
+    weight_power: float = 1.0
 
 
 class Trainer:
@@ -48,12 +64,16 @@ class Trainer:
     Parameters
     ----------
     device, network, points
-        The network to start from and the points it is trained at.
+        The network to start from and the points of the image.
     settings : TrainSettings
-    samples_held : int
-        The most samples a point that `store` will be given before `fit`.
+    chosen : ndarray
+        uint32, the shading points that have training samples, in the order in which they are drawn.
+    samples : int
+        Samples that `store` will be given for each of them.
     seed : int
         Shuffles the points into minibatches.
+    factor : HostArray, optional
+        float32 (channels, points.active), what a demodulated network's output is multiplied by.
     """
 
     def __init__(
@@ -62,21 +82,25 @@ class Trainer:
         network: Network,
         points: ShadingPoints,
         settings: TrainSettings,
-        samples_held: int,
+        chosen: np.ndarray,
+        samples: int,
         seed: int,
+        factor: HostArray | None = None,
     ) -> None:
         self.device = device
         self.settings = settings
+        self.samples = samples
         self._start = network
         self._steps = 0
-        self._scale = 0.0
+        self._scale = 1.0
         description = network.description
-        count = points.active
+        count = len(chosen)
         generator = np.random.Generator(np.random.Philox([seed, 1]))
-        order = generator.permutation(count).astype(np.uint32)
-        position = np.empty_like(order)
-        position[order] = np.arange(count, dtype=np.uint32)
+        shuffled = generator.permutation(count).astype(np.uint32)
+        position = np.empty_like(shuffled)
+        position[shuffled] = np.arange(count, dtype=np.uint32)
         self._position = HostArray.of(device, position)
+        order = chosen[shuffled]
         self._encoder = Encoder(
             device, description.encoding, points, network.cube, HostArray.of(device, order)
         )
@@ -86,18 +110,33 @@ class Trainer:
         self._index = GridIndex(device, self._encoder, self._batches)
 
         self._program = self._build()
-        self._parameters = _Averaged(device, network.parameters)
+        self._parameters = _Averaged(device, np.pad(network.parameters, (0, self._padding)))
         self._table = _Averaged(device, network.table)
-        self._partial = HostArray(device, (GROUPS, description.parameter_count + 1), np.float32)
+        self._partial = HostArray(device, (GROUPS, self._parameters.value.shape[0]), np.float32)
+        self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
-        stride = self._encoder.stride
-        self._grid_gradient = HostArray(device, (description.encoding.grid_rows, stride), np.float32)
-        self._u = HostArray(device, (samples_held, stride), np.float32)
-        self._v = HostArray(device, (samples_held, stride), np.float32)
-        self._target = HostArray(device, (samples_held, description.channels, stride), np.float32)
+        stride, channels = self._encoder.stride, description.channels
+        self._grid_gradient = HostArray(device, (stride, description.encoding.grid_rows), np.float32)
+        self._u = HostArray(device, (samples, stride), np.float32)
+        self._v = HostArray(device, (samples, stride), np.float32)
+        self._target = HostArray(device, (samples, channels, stride), np.float32)
+        self._factor = HostArray(device, (channels, stride), np.float32)
+        self._weight = HostArray(device, (channels, stride), np.float32)
+        self._set_factors(None if factor is None else factor.read()[:, order])
 
-    def store(self, batch: Batch) -> None:
-        """Keep a batch's samples for `fit`, in training order."""
+    def _set_factors(self, factor: np.ndarray | None) -> None:
+        """Factors by column, and from them the weights; without factors one for all comes with `fit`."""
+        count, power = self._encoder.count, self.settings.weight_power
+        self._has_factors = factor is not None
+        if factor is None:
+            return
+        mean = float(factor.mean(dtype=np.float64)) or 1.0
+        for array, values in ((self._factor, factor), (self._weight, (factor / mean) ** power)):
+            with array.mapped(write=True) as view:
+                view[:, :count], view[:, count:] = values, 0.0
+
+    def store(self, batch: Batch, first_sample: int) -> None:
+        """Keep a batch's samples as number `first_sample` and on of their points."""
         self._program.kernel("store_samples")(
             len(batch.points) * batch.stride // self.device.vector_width,
             batch.points.start,
@@ -105,6 +144,7 @@ class Trainer:
             batch.samples,
             batch.stride,
             self._encoder.stride,
+            first_sample,
             self._position,
             batch.u,
             batch.v,
@@ -116,93 +156,130 @@ class Trainer:
             self._target,
         )
 
-    def fit(self, samples: int) -> float:
-        """One pass over the `samples` stored samples of every point; returns the last step's loss."""
-        if self._scale == 0.0:
-            self._scale = self._find_scale(samples)
-        for sample in range(samples):
-            for number in range(len(self._batches)):
-                self._step(sample, number)
-        return float(self._loss.read()[0])
+    def fit(self, rounds: int = 1) -> float:
+        """All passes over the stored samples, as one of `rounds` such calls; returns the mean loss.
+
+        The loss is the mean over the last pass's steps at the end of each stored sample.
+        """
+        if not self._has_factors:
+            self._set_common_factor()
+        settings = self.settings
+        step = min(settings.samples_a_step, self.samples)
+        starts = range(0, self.samples - step + 1, step)
+        total = rounds * settings.passes * len(starts) * len(self._batches)
+        losses = []
+        for _ in range(settings.passes):
+            losses.clear()
+            for sample in starts:
+                for number in range(len(self._batches)):
+                    self._step(sample, number, total)
+                losses.append(float(self._loss.read()[0]))
+        return float(np.mean(losses))
 
     def network(self) -> Network:
         """The network with the moving averages of its parameters, in the integrand's own units."""
         description = self._start.description
-        parameters = self._parameters.average.read()
-        views = description.unpack(parameters)
-        if self._scale > 0.0:
-            views["W3"][...] /= self._scale
-            views["B3"][...] /= self._scale
+        parameters = self._parameters.average.read()[: description.parameter_count]
+        if not description.demodulated:
+            rows, shapes = description.group_rows, description.group_shapes
+            _, heads, bases = description.unpack(parameters)
+            for group in ("W3", "B3"):
+                first = rows[group]
+                part = slice(first, first + math.prod(shapes[group]))
+                if group in description.modulated:
+                    heads[part] *= self._scale
+                else:
+                    bases[part.start - len(heads) : part.stop - len(heads)] *= self._scale
         return Network(description, parameters, self._table.average.read(), self._start.cube)
 
-    def _find_scale(self, samples: int) -> float:
-        """1 over the integrand's mean, so that rates and losses do not depend on the scene's units."""
-        with self._target.mapped(count=samples) as target:
-            mean = float(np.mean(target[:, :, : self._encoder.count], dtype=np.float64))
-        return 1.0 / mean if mean > 0.0 else 1.0
+    def _set_common_factor(self) -> None:
+        """The integrand's mean for all, so that rates and losses do not depend on the scene's units."""
+        count = self._encoder.count
+        with self._target.mapped() as target:
+            mean = float(np.mean(target[:, :, :count], dtype=np.float64))
+        self._scale = mean if mean > 0.0 else 1.0
+        channels = self._start.description.channels
+        self._set_factors(np.full((channels, count), self._scale, np.float32))
 
-    def _step(self, sample: int, number: int) -> None:
+    def _step(self, sample: int, number: int, total: int) -> None:
         settings, encoder, columns = self.settings, self._encoder, self._batches[number]
-        encoder.encode_grid(self._table.value, columns.start, len(columns))
-        place = (columns.start, len(columns), encoder.stride)
+        parameters, table = self._parameters, self._table
         tiles = -(-len(columns) // self._tile)
         groups = min(GROUPS, tiles)
         lanes = self.device.lanes
         self._program.kernel("gradients")(
             groups * lanes,
             sample,
-            *place,
-            self._scale,
+            columns.start,
+            len(columns),
+            encoder.stride,
             encoder.features,
+            encoder.corner,
+            encoder.weight,
+            table.value,
             self._u,
             self._v,
             self._target,
-            self._parameters.value,
+            self._factor,
+            self._weight,
+            parameters.value,
             self._grid_gradient,
             self._partial,
             group=lanes,
         )
         self._steps += 1
         step = self._steps
+        decay = 0.5 * (1.0 + math.cos(math.pi * min(step / total, 1.0)))
         adam = (
-            settings.rate,
+            settings.final_rate + (settings.rate - settings.final_rate) * decay,
             1.0 / (1.0 - settings.beta1**step),
             1.0 / (1.0 - settings.beta2**step),
             # A short memory at first, or the average would remember the random start.
             min(settings.average_decay, (1 + step) / (10 + step)),
         )
-        parameters, table = self._parameters, self._table
-        self._program.kernel("adam_network")(
-            self._partial.shape[1], groups, *adam, self._partial, *parameters.arrays, self._loss
-        )
         entries = self._index.batches[number]
-        self._program.kernel("adam_grid")(
-            len(entries),
+        self._program.kernel("adam")(
+            self._partial.shape[1] // self.device.vector_width + len(entries),
+            groups,
             entries.start,
             len(entries),
-            encoder.stride,
             *adam,
+            self._partial,
+            *parameters.arrays,
+            self._loss,
             *self._index.arrays,
             self._grid_gradient,
             *table.arrays,
         )
 
     def _build(self) -> Program:
-        description, settings = self._start.description, self.settings
-        floats = 2 * sum(description.hidden) + description.channels + 1
-        step = self.device.lanes * self.device.vector_width
-        self._tile = max(step, LOCAL_BYTES // (4 * floats) // step * step)
+        description, settings, device = self._start.description, self.settings, self.device
+        features = description.encoding.feature_count
+        vec = device.vector_width
+        feature_stride = -(-(features + 1) // vec) * vec
+        rows = description.head_rows + description.base_rows
+        hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
+        floats_a_column = features + feature_stride + 2 * rows + hidden + 1
+        budget = (CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES) // 4
+        self._tile = vec
+        while 2 * self._tile * floats_a_column <= budget and self._tile < MAX_TILE:
+            self._tile *= 2
+        # Whole vectors, with room for the loss.
+        padded = -(-(description.parameter_count + 1) // vec) * vec
+        self._padding = padded - description.parameter_count
         defines = {
             **description.defines(),
             "TILE": self._tile,
-            "PARTIAL_FLOATS": description.parameter_count + 1,
+            "SAMPLES_A_STEP": min(settings.samples_a_step, self.samples),
+            "FEATURE_BLOCKS": feature_stride // vec,
+            "PARTIAL_FLOATS": f"{padded}u",
             "AT_LOSS": description.parameter_count,
             "ADAM_BETA1": f"{settings.beta1!r}f",
             "ADAM_BETA2": f"{settings.beta2!r}f",
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
             "NO_RAY": f"{NO_RAY}u",
         }
-        return build(self.device, ("common", "batch", "mlp", "train"), defines)
+        return build(device, ("common", "surface", "encode", "batch", "mlp", "train"), defines)
 
 
 class _Averaged:

@@ -61,10 +61,23 @@ def features(network: Network, points: ShadingPoints, table: np.ndarray | None =
     return np.concatenate(parts)
 
 
+def groups(network: Network, feature: np.ndarray, parameters=None) -> dict[str, np.ndarray]:
+    """Each group's weights at each of the columns of `feature`, (columns, *shape); W2 once."""
+    description = network.description
+    chosen = (network.parameters if parameters is None else parameters).astype(float)
+    w2, heads, bases = description.unpack(chosen)
+    ones = np.ones((1, feature.shape[1]))
+    rows = np.concatenate([heads @ np.concatenate([feature, ones]), bases[:, None] * ones]).T
+    found = {"W2": w2}
+    for group, shape in description.group_shapes.items():
+        first = description.group_rows[group]
+        found[group] = rows[:, first : first + int(np.prod(shape))].reshape(-1, *shape)
+    return found
+
+
 def forward(network: Network, feature: np.ndarray, uv: np.ndarray, parameters=None) -> np.ndarray:
-    """g, (channels, columns), of (features, columns) and (2, columns)."""
-    chosen = network.parameters if parameters is None else parameters
-    p = network.description.unpack(chosen.astype(float))
-    h1 = np.maximum(p["W1"] @ np.concatenate([uv, feature]) + p["B1"][:, None], 0)
-    h2 = np.maximum(p["W2"] @ h1 + p["B2"][:, None], 0)
-    return p["W3"] @ h2 + p["B3"][:, None]
+    """g, (channels, columns, samples), of (features, columns) and (2, columns, samples)."""
+    p = groups(network, feature, parameters)
+    h1 = np.maximum(np.einsum("pji,ips->jps", p["W1"], uv) + p["B1"].T[..., None], 0)
+    h2 = np.maximum(np.einsum("kj,jps->kps", p["W2"], h1) + p["B2"].T[..., None], 0)
+    return np.einsum("pck,kps->cps", p["W3"], h2) + p["B3"].T[..., None]

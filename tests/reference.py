@@ -309,7 +309,7 @@ def render_plain(
     estimator = Estimator(device, points, integrand.channels)
     for first in range(0, spp, 64):
         samples = range(first, min(first + 64, spp))
-        for part in source_.point_batches():
+        for part in source_.batches():
             estimator.add(source_.draw(part, samples, 0))
         estimator.finish_pass(len(samples))
     return resolve_image(scene, integrand, points, size, 1, estimator.result()), points

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -43,7 +44,8 @@ def make_batch(device, first, values, uv=None, seed=0):
     wide = np.zeros((2, count, stride), np.float32)
     wide[..., :samples] = uv
     arrays = [HostArray.of(device, array) for array in (wide[0], wide[1], padded, slot, visible)]
-    batch = Batch(range(first, first + count), samples, stride, *arrays)
+    everything = HostArray.of(device, np.arange(POINTS, dtype=np.uint32))
+    batch = Batch(range(first, first + count), everything, samples, stride, *arrays)
     return batch, values.astype(np.float32).astype(np.float64) * seen
 
 
@@ -71,7 +73,7 @@ def test_means_and_variances_match_float64(device, channels, lengths, mean, spre
     passes = [mean + spread * generator.normal(size=(channels, POINTS, n)) for n in lengths]
     estimator, values = accumulated(device, passes, channels)
     estimate = estimator.result()
-    assert estimate.samples == sum(lengths)
+    assert np.array_equal(estimate.samples, np.full(POINTS, sum(lengths)))
     # Of means, single precision keeps this much; of a batch's few samples not more.
     ulp = np.spacing(np.float32(abs(mean) + 4 * spread)).astype(float)
     np.testing.assert_allclose(estimate.mean, values.mean(-1), atol=2 * ulp, rtol=0)
@@ -94,25 +96,29 @@ def test_visibility_is_read_through_the_slots(device):
     np.testing.assert_allclose(estimate.variance, values.var(-1, ddof=1), rtol=1e-4)
 
 
-def test_residuals_are_taken_against_the_network(device):
+@pytest.mark.parametrize("modulated", [(), ("B1",), ("W1", "B1", "B2", "W3", "B3")])
+def test_residuals_are_taken_against_the_network(device, modulated):
     generator = np.random.default_rng(5)
-    description = NetworkDescription(Encoding(inputs=("position",)), 3, (5, 7))
-    parameters = generator.normal(size=description.parameter_count).astype(np.float32)
-    folded = generator.normal(size=(POINTS, 5)).astype(np.float32)
+    description = NetworkDescription(Encoding(("position",)), 3, (5, 7), modulated)
+    shapes = {**description.group_shapes, "W2": (7, 5)}
+    part = {
+        name: generator.normal(size=(POINTS, *shape) if name in modulated else (1, *shape))
+        for name, shape in shapes.items()
+    }
+    names = ("W1", "B1", "W2", "B2", "W3", "B3")
     network = SimpleNamespace(
         network=SimpleNamespace(description=description),
-        folded=HostArray.of(device, folded),
-        parameters=HostArray.of(device, parameters),
+        arrays=[HostArray.of(device, part[name].astype(np.float32)) for name in names],
     )
     passes = [generator.uniform(size=(3, POINTS, n)) for n in (19, 40)]
     uv = [generator.uniform(size=(2, POINTS, n)).astype(np.float32) for n in (19, 40)]
     estimator, values = accumulated(device, passes, 3, uv, network)
 
-    part = {name: array.astype(float) for name, array in description.unpack(parameters).items()}
+    part = {name: np.broadcast_to(array, (POINTS, *array.shape[1:])) for name, array in part.items()}
     both = np.concatenate(uv, axis=-1).astype(float)
-    first = np.einsum("ji,ips->jps", part["W1"][:, :2], both) + folded.T[:, :, None]
-    second = np.einsum("kj,jps->kps", part["W2"], np.maximum(first, 0)) + part["B2"][:, None, None]
-    output = np.einsum("ck,kps->cps", part["W3"], np.maximum(second, 0)) + part["B3"][:, None, None]
+    first = np.einsum("pji,ips->jps", part["W1"], both) + part["B1"].T[:, :, None]
+    second = np.einsum("pkj,jps->kps", part["W2"], np.maximum(first, 0)) + part["B2"].T[:, :, None]
+    output = np.einsum("pck,kps->cps", part["W3"], np.maximum(second, 0)) + part["B3"].T[:, :, None]
     for quantity, expected in enumerate([values, values - output]):
         estimate = estimator.result(quantity)
         scale = np.abs(output).max() if quantity else 1
@@ -164,3 +170,17 @@ def test_no_samples_give_zeros(one_device, points):
     estimate = Estimator(one_device, some_points(points), 3).result()
     for array in (estimate.mean, estimate.variance, estimate.variance_of_mean):
         np.testing.assert_array_equal(array, np.zeros((3, points)))
+
+
+def test_only_chosen_points_are_counted(one_device):
+    chosen = np.array([3, 20, 5], np.uint32)
+    estimator = Estimator(one_device, some_points(), 1, chosen=chosen)
+    values = np.arange(12, dtype=float).reshape(1, 3, 4)
+    batch, _ = make_batch(one_device, 0, values)
+    estimator.add(replace(batch, order=HostArray.of(one_device, chosen)))
+    estimator.finish_pass(4)
+    estimate = estimator.result()
+    expected = np.zeros(POINTS)
+    expected[chosen] = values[0].mean(-1)
+    np.testing.assert_allclose(estimate.mean[0], expected)
+    assert np.array_equal(estimate.samples, np.where(expected > 0, 4, 0))

@@ -9,7 +9,8 @@ import pytest
 from ncv_cl.device import HostArray
 from ncv_cl.encode import Encoder, Encoding, GridCube, varying_inputs
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.network import FoldedNetwork, Network, NetworkDescription, NetworkError
+from ncv_cl.integrate import Integrator
+from ncv_cl.network import GROUPS, FoldedNetwork, Network, NetworkDescription, NetworkError
 from ncv_cl.points import find_points
 from ncv_cl.scene import load_scene
 from ncv_cl.trace import Tracer
@@ -22,11 +23,16 @@ def knot_points(device, scenes, size=(13, 9)):
     return scene, find_points(device, scene, Tracer(scene), *size)
 
 
-def random_network(scene, inputs=ALL_INPUTS, hidden=(32, 32), channels=3, **grid):
-    description = NetworkDescription(Encoding(inputs, **grid), channels, hidden)
+def random_network(
+    scene, inputs=ALL_INPUTS, hidden=(16, 16), channels=3, modulated=GROUPS, demodulated=False, **grid
+):
+    encoding = Encoding(inputs, **grid)
+    description = NetworkDescription(encoding, channels, hidden, modulated, demodulated)
     network = Network.random(description, GridCube.around(scene.bounds), seed=3)
-    # A table as training leaves it, not near zero as it starts.
-    network.table[...] = np.random.default_rng(4).normal(size=network.table.shape)
+    # Numbers as training leaves them: the table not near zero, no neuron exactly on its kink.
+    generator = np.random.default_rng(4)
+    network.table[...] = generator.normal(size=network.table.shape)
+    network.parameters[...] += generator.normal(size=network.parameters.shape) * 0.02
     return network
 
 
@@ -35,10 +41,9 @@ def evaluate(device, folded, u, v):
     points, samples = u.shape
     channels = folded.network.description.channels
     value = HostArray(device, (channels, points, samples), np.float32)
-    arrays = [HostArray.of(device, array) for array in (u, v)]
+    arrays = [*(HostArray.of(device, array) for array in (u, v)), *folded.arrays]
     items = points * samples // device.vector_width
-    kernel = folded.program().kernel("evaluate")
-    kernel(items, points, samples, *arrays, folded.folded, folded.parameters, value)
+    folded.program().kernel("evaluate")(items, 0, points, samples, *arrays, value)
     return value.read().transpose(1, 2, 0)
 
 
@@ -55,18 +60,56 @@ def test_features_match_reference(device, scenes, inputs, grid):
     np.testing.assert_allclose(encoder.features.read()[:, : points.active], expected, atol=2e-4)
 
 
-@pytest.mark.parametrize("hidden", [(32, 32), (8, 16), (17, 5), (1, 1)])
-@pytest.mark.parametrize("channels", [1, 3])
-def test_inference_matches_reference(device, scenes, hidden, channels):
+@pytest.mark.parametrize("hidden", [(16, 16), (32, 32), (8, 16), (17, 5), (1, 1)])
+@pytest.mark.parametrize("modulated", [GROUPS, ("B1",), ("W1", "B1", "W3"), ()])
+def test_inference_matches_reference(device, scenes, hidden, modulated):
     scene, points = knot_points(device, scenes)
-    network = random_network(scene, hidden=hidden, channels=channels)
+    network = random_network(scene, hidden=hidden, modulated=modulated)
     folded = FoldedNetwork(device, network, points)
     u, v = np.random.default_rng(0).random((2, points.active, 32), np.float32)
+    expected = reference.forward(network, reference.features(network, points), np.stack([u, v]))
+    got = evaluate(device, folded, u, v).transpose(2, 0, 1)
+    np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_demodulated_network_is_multiplied_by_the_factor(device, scenes, channels):
+    scene, points = knot_points(device, scenes)
+    plain = random_network(scene, channels=channels)
+    network = random_network(scene, channels=channels, demodulated=True)
+    factor = np.random.default_rng(1).random((channels, points.active), np.float32)
+    folded = FoldedNetwork(device, network, points, HostArray.of(device, factor))
+    u, v = np.random.default_rng(0).random((2, points.active, 16), np.float32)
+    expected = evaluate(device, FoldedNetwork(device, plain, points), u, v) * factor.T[:, None]
     got = evaluate(device, folded, u, v)
-    feature = reference.features(network, points)
-    for sample in range(0, 32, 7):
-        expected = reference.forward(network, feature, np.stack([u[:, sample], v[:, sample]]))
-        np.testing.assert_allclose(got[:, sample].T, expected, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_factor_is_asked_for_exactly_where_it_is_needed(one_device, scenes):
+    scene, points = knot_points(one_device, scenes)
+    with pytest.raises(NetworkError, match="factor"):
+        FoldedNetwork(one_device, random_network(scene, demodulated=True), points)
+
+
+@pytest.mark.parametrize("modulated", [GROUPS, ("B1",)])
+def test_the_exact_integral_is_that_of_the_folded_network(device, scenes, modulated):
+    scene, points = knot_points(device, scenes, (5, 4))
+    network = random_network(scene, hidden=(8, 16), modulated=modulated)
+    folded = FoldedNetwork(device, network, points)
+    weights_per_point, biases_per_point = folded.per_point
+    integrator = Integrator(
+        device,
+        widths=(2, 8, 16, 3),
+        per_point_weights=weights_per_point,
+        per_point_biases=biases_per_point,
+    )
+    integral = HostArray(device, (points.active, 3), np.float32)
+    integrator.run(*folded.layers(), integral)
+    grid = (np.arange(256) + 0.5) / 256
+    uv = np.stack(np.meshgrid(grid, grid)).reshape(2, 1, -1) * np.ones((1, points.active, 1))
+    dense = reference.forward(network, reference.features(network, points), uv)
+    scale = np.abs(dense).mean()
+    np.testing.assert_allclose(integral.read(), dense.mean(-1).T, atol=1e-4 * scale)
 
 
 def test_only_inputs_that_vary_are_fed(one_device, scenes):

@@ -99,7 +99,7 @@ def test_coordinates_are_the_samplers(device, sampler, stream):
 def test_batches_cover_the_active_points_and_respect_the_scratch_memory(one_device, monkeypatch):
     monkeypatch.setattr("ncv_cl.samples.SAMPLES_PER_BATCH", 160)
     points, source, _ = sampling(one_device, scene(), DirectLight(), SIZE, 17)
-    parts = source.point_batches()
+    parts = source.batches()
     assert [point for part in parts for point in part] == list(range(points.active))
     assert all(len(part) * source.stride <= 160 for part in parts) and len(parts) > 5
     values = [shadowed_values(source.draw(part, range(17), 0), 3) for part in parts]
@@ -113,13 +113,13 @@ def test_more_samples_than_a_batch_should_hold_still_fit_a_point(one_device, mon
     monkeypatch.setattr("ncv_cl.samples.SAMPLES_PER_BATCH", 8)
     points, source, _ = sampling(one_device, scene(), DirectLight(), SIZE, 40)
     assert source.points_per_batch == 1
-    assert len(source.point_batches()) == points.active
+    assert len(source.batches()) == points.active
 
 
 def test_counts_of_rays_add_up_over_draws(one_device):
     points, source, _ = sampling(one_device, scene(), DirectLight(), SIZE, 40)
     for samples in (range(40), range(40, 61)):
-        for part in source.point_batches():
+        for part in source.batches():
             source.draw(part, samples, 0)
     assert source.rays.traced + source.rays.skipped == 61 * points.active
     assert source.rays.seconds > 0
@@ -130,4 +130,4 @@ def test_a_picture_without_active_points_has_no_batches(one_device):
     alone = mesh_scene(np.empty((0, 3, 3)), camera_at([0, 0, 2], [0, 0, 0]), (light,))
     points, source, _ = sampling(one_device, alone, DirectLight(), SIZE, 4)
     assert points.total > 0 and points.active == 0
-    assert source.point_batches() == []
+    assert source.batches() == []

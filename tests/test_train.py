@@ -7,115 +7,144 @@ import numpy as np
 import pytest
 from test_network import ALL_INPUTS, knot_points, random_network
 
+from ncv_cl.device import HostArray
 from ncv_cl.integrands import DirectLight
 from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
+from ncv_cl.samples import NO_RAY, SampleSource
 from ncv_cl.trace import Tracer
 from ncv_cl.train import Trainer, TrainSettings
 
 # With so large an epsilon the first Adam step is the gradient times rate / epsilon.
 STEP = 100.0
-PLAIN = TrainSettings(batch=1 << 20, rate=1e8, epsilon=1e6, average_decay=0.0)
+PLAIN = TrainSettings(
+    batch=1 << 20, samples_a_step=3, passes=1, rate=1e8, final_rate=1e8, epsilon=1e6, average_decay=0.0
+)
 
 
-def prepare(device, scenes, settings, samples=1, **description):
-    """A trainer that holds samples of the knot, with those samples: u, v and f by point."""
+def prepare(device, scenes, settings, samples=3, **description):
+    """A trainer that holds samples of the knot, with its network, points, u, v, f and factors."""
     scene, points = knot_points(device, scenes)
     network = random_network(scene, **description)
     source = SampleSource(device, scene, Tracer(scene), points, DirectLight(), "independent", 5, samples)
-    trainer = Trainer(device, network, points, settings, samples, seed=11)
-    (batch_points,) = source.point_batches()
-    batch = source.draw(batch_points, range(samples), Stream.TRAINING)
-    trainer.store(batch)
-    shape = (points.active, batch.stride)
-    size = points.active * batch.stride
+    factor = source.unshadowed_means() if network.description.demodulated else None
+    chosen = np.arange(0, points.active, 2, dtype=np.uint32)
+    trainer = Trainer(device, network, points, settings, chosen, samples, 11, factor)
+    (part,) = source.batches(len(chosen))
+    batch = source.draw(part, range(samples), Stream.TRAINING, HostArray.of(device, chosen))
+    trainer.store(batch, 0)
+    size = len(chosen) * batch.stride
     slot = batch.slot.read()[:size]
-    visible = np.append(batch.visible.read(), 0)[np.minimum(slot, len(batch.visible.read()))]
-    value = batch.value.read().ravel()[: 3 * size].reshape(3, size) * (visible * (slot != 0xFFFFFFFF))
-    uv = np.stack([batch.u.read()[:size], batch.v.read()[:size]]).reshape(2, *shape)
-    return trainer, network, points, uv[:, :, :samples], value.reshape(3, *shape)[:, :, :samples]
+    visible = np.append(batch.visible.read(), 0)[np.minimum(slot, batch.visible.shape[0])]
+    f = batch.value.read().ravel()[: 3 * size].reshape(3, size) * (visible * (slot != NO_RAY))
+    shape = (len(chosen), batch.stride)
+    uv = np.stack([batch.u.read()[:size], batch.v.read()[:size]]).reshape(2, *shape)[:, :, :samples]
+    f = f.reshape(3, *shape)[:, :, :samples].astype(float)
+    factors = np.full((3, len(chosen)), f.mean()) if factor is None else factor.read()[:, chosen]
+    return trainer, network, (points, chosen), uv.astype(float), f, factors.astype(float)
 
 
-def loss(network, points, uv, f, scale, parameters=None, table=None):
-    feature = reference.features(network, points, table)
+def loss(network, where, uv, f, factors, parameters=None, table=None):
+    points, chosen = where
+    feature = reference.features(network, points, table)[:, chosen]
     value = reference.forward(network, feature, uv, parameters)
-    return np.mean((value - scale * f) ** 2)
+    weight = factors / factors.mean()
+    lit = factors[..., None] > 0
+    target = np.where(lit, f / np.where(lit, factors[..., None], 1), 0)
+    return np.mean((weight[..., None] * (value - target)) ** 2)
 
 
-def central_difference(function, at, index, step=1e-5):
+def central_difference(function, at, index, step=1e-7):
     high, low = at.astype(float), at.astype(float)
     high.flat[index] += step
     low.flat[index] -= step
     return (function(high) - function(low)) / (2 * step)
 
 
-@pytest.mark.parametrize("hidden", [(32, 32), (8, 16), (64, 24)])
-@pytest.mark.parametrize("inputs", [("position",), ALL_INPUTS])
-def test_gradients_match_finite_differences(device, scenes, hidden, inputs):
-    trainer, network, points, uv, f = prepare(
-        device, scenes, PLAIN, hidden=hidden, inputs=inputs, grid_entries=256
-    )
-    uv, f = uv[:, :, 0].astype(float), f[:, :, 0].astype(float)
-    scale = 1 / np.mean(f)
-    reported = trainer.fit(1)
-    assert reported == pytest.approx(loss(network, points, uv, f, scale), rel=1e-4)
+@pytest.mark.parametrize("hidden", [(16, 16), (8, 12), (33, 7), (64, 64)])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"inputs": ("position",), "grid_features": 1},
+        {"inputs": ALL_INPUTS, "modulated": ("B1",)},
+        {"inputs": ALL_INPUTS, "demodulated": True, "grid_features": 4},
+        {"inputs": ("position", "albedo"), "modulated": ("W1", "B2", "B3")},
+    ],
+)
+def test_gradients_match_finite_differences(device, scenes, hidden, options):
+    trainer, network, *data = prepare(device, scenes, PLAIN, hidden=hidden, grid_entries=256, **options)
+    assert trainer.fit() == pytest.approx(loss(network, *data), rel=1e-4)
     trained = trainer.network()
-    after = network.description.unpack(trained.parameters.astype(float))
-    before = network.description.unpack(network.parameters.astype(float))
-    for name in ("W3", "B3"):
-        after[name] *= scale
-    generator = np.random.default_rng(0)
-    start = 0
-    for name, old in before.items():
-        got = (old - after[name]) / STEP
-        picks = generator.choice(old.size, min(old.size, 8), replace=False)
+    # The network as it is trained, before its output takes the common factor.
+    new = trained.parameters.astype(float)
+    if not network.description.demodulated:
+        for group in ("W3", "B3"):
+            unscale(network.description, new, group, data[3].mean())
+    got = (network.parameters - new) / STEP
+    description = network.description
+    heads_at = hidden[0] * hidden[1]
+    bases_at = got.size - description.base_rows
+    for name, part in {
+        "W2": range(heads_at),
+        "heads": range(heads_at, bases_at),
+        "bases": range(bases_at, got.size),
+    }.items():
+        if not len(part):
+            continue
+        picks = np.random.default_rng(0).choice(part, min(len(part), 12), replace=False)
         expected = [
-            central_difference(
-                lambda parameters: loss(network, points, uv, f, scale, parameters),
-                network.parameters,
-                start + index,
-            )
+            central_difference(lambda p: loss(network, *data, p), network.parameters, index)
             for index in picks
         ]
-        tolerance = 2e-3 * np.abs(got).max()
-        np.testing.assert_allclose(got.flat[picks], expected, atol=tolerance, err_msg=name)
-        start += old.size
+        tolerance = 2e-3 * np.abs(got[part]).max()
+        np.testing.assert_allclose(got[picks], expected, atol=tolerance, err_msg=name)
 
     got = (network.table.astype(float) - trained.table) / STEP
     assert np.count_nonzero(got) > 0
     picks = np.argsort(-np.abs(got).ravel())[[0, 3, 9, 27, 81]]
     expected = [
-        central_difference(
-            lambda table: loss(network, points, uv, f, scale, None, table), network.table, index
-        )
+        central_difference(lambda t: loss(network, *data, None, t), network.table, index)
         for index in picks
     ]
     np.testing.assert_allclose(got.flat[picks], expected, atol=2e-3 * np.abs(got).max())
 
 
+def unscale(description, parameters, group, factor):
+    """Divide a group's heads and bases by `factor`, in place."""
+    rows = description.group_rows[group]
+    count = int(np.prod(description.group_shapes[group]))
+    _, heads, bases = description.unpack(parameters)
+    if group in description.modulated:
+        heads[rows : rows + count] /= factor
+    else:
+        bases[rows - len(heads) : rows - len(heads) + count] /= factor
+
+
 def test_untouched_grid_entries_keep_their_value(one_device, scenes):
-    trainer, network, points, _, _ = prepare(one_device, scenes, PLAIN, grid_entries=4096)
-    trainer.fit(1)
+    trainer, network, (points, chosen), *_ = prepare(one_device, scenes, PLAIN, grid_entries=4096)
+    trainer.fit()
     touched = np.zeros(len(network.table), bool)
-    position = points.rows("position")[:, : points.active].astype(float)
+    position = points.rows("position")[:, chosen].astype(float)
     touched[reference.corners(network, position)[0].ravel()] = True
     changed = np.any(trainer.network().table != network.table, axis=1)
     assert not np.any(changed & ~touched)
 
 
-def test_training_explains_most_of_the_variance(device, scenes):
-    settings = TrainSettings(batch=32)
-    trainer, _, _, _, f = prepare(device, scenes, settings, samples=16)
-    for _ in range(8):
-        final = trainer.fit(16)
-    constant = np.mean(np.var(f / np.mean(f), axis=(1, 2)))
+@pytest.mark.parametrize("demodulated", [False, True])
+def test_training_explains_most_of_the_variance(device, scenes, demodulated):
+    settings = TrainSettings(batch=16, passes=64)
+    trainer, _, _, _, f, factors = prepare(device, scenes, settings, samples=16, demodulated=demodulated)
+    final = trainer.fit()
+    share = f / factors.mean()
+    constant = np.mean(np.var(share, axis=(1, 2)))
     assert final < 0.2 * constant
 
 
-def test_two_runs_are_bit_equal(device, scenes):
+@pytest.mark.parametrize("demodulated", [False, True])
+def test_two_runs_are_bit_equal(device, scenes, demodulated):
     def run():
-        trainer, *_ = prepare(device, scenes, TrainSettings(batch=32), samples=16)
-        trainer.fit(16)
+        settings = TrainSettings(batch=16)
+        trainer, *_ = prepare(device, scenes, settings, samples=16, demodulated=demodulated)
+        trainer.fit()
         return trainer.network()
 
     first, second = run(), run()

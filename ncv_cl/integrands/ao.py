@@ -27,6 +27,7 @@ class AmbientOcclusion(Integrand):
     files = ("ao",)
     channels = 1
     inputs = ("position", "normal")
+    demodulated = False
     emitters_active = True
 
     def __init__(self, radius: float = math.inf, mapping: str = "height") -> None:

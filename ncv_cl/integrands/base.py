@@ -28,6 +28,8 @@ class Integrand(ABC):
     channels: ClassVar[int]
     inputs: ClassVar[tuple[str, ...]]
     """Network inputs f depends on, as `encode.INPUTS` names them."""
+    demodulated: ClassVar[bool]
+    """Whether f is easier to learn over its unshadowed mean than as it is."""
     emitters_active: ClassVar[bool]
     """Whether points on area lights have an integral of their own."""
 

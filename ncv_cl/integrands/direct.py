@@ -22,6 +22,7 @@ class DirectLight(Integrand):
     files = ("bsdf", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
+    demodulated = True
     emitters_active = False
 
     def data(self, scene: Scene) -> np.ndarray:

@@ -1,0 +1,269 @@
+/* Exact integrals over the unit square of ReLU networks g(u, v), one network per shading point.
+ *
+ * Depth first: one Dcel per arrangement, reused from face to face. Arrangement k consists of the lines of
+ * hidden layer k inside one face of arrangement k - 1; inside one of its faces all neurons of the layers
+ * up to k are affine, so the neurons of layer k + 1 are lines there. METHOD_FULL builds arrangements for all
+ * hidden layers; in a face of the last one every last-layer neuron is affine and keeps its sign, and its
+ * integral follows from the face's area and first moments. Otherwise (decoupled) the last hidden layer is
+ * never cut: its neurons are affine on the triangles of the arrangement before, where the integral of
+ * relu(z) has a closed form in the values at the three vertices (design: `triangle_integral`).
+ * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
+ *
+ * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2), and
+ * the next layer's column by the inverse; only exponents are added up, so nothing overflows on the way.
+ *
+ * Certification. The absolute areas of all triangles must sum to 1 and G must be finite; points that fail
+ * are appended to `retry` and done by integrate_robust.
+ *
+ * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group. Network
+ * parameters are row-major (n_out, n_in), with a leading points axis where -D PER_POINT_WEIGHTS_k or
+ * PER_POINT_BIASES_k is 1. In Tables matrices lie transposed, outputs padded with zeros to whole vectors, so
+ * that VEC neurons are one load.
+ *
+ * Work-group contract: LANES work-items own one point at a time. Groups are persistent: the leader pops a
+ * run of points from `queue`, all read it after a barrier, and all leave on the same condition; no group
+ * ever waits for another. Barriers stand only under conditions that are uniform in the group.
+ */
+
+/* ---- from face to face -------------------------------------------------------------------------- */
+
+#if HIDDEN > 0
+/* Makes the next face of arrangement k the cell of arrangement k + 1; returns whether one was left. */
+bool leader_descend(SPACE Workspace *work, const int k) {
+  SPACE Dcel *parent = &work->arrangement[k];
+  SPACE Dcel *child = &work->arrangement[k + 1];
+  if (parent->visited == parent->faces) return false;
+  const int first = parent->face[parent->visited++];
+  number sum_x = 0;
+  number sum_y = 0;
+  int corners = 0;
+  int e = first;
+  do {
+    if (corners == MAX_CORNERS) {
+      parent->failed = 1;
+      return false;
+    }
+    const int v = parent->edge[e].origin;
+    child->x[corners] = parent->x[v];
+    child->y[corners] = parent->y[v];
+    child->edge[corners].tag = (ushort)(parent->edge[e].tag & TAG_MASK);
+    sum_x += parent->x[v];
+    sum_y += parent->y[v];
+    e = parent->edge[e].next;
+    ++corners;
+  } while (e != first);
+  work->mean_x = sum_x / (number)corners;
+  work->mean_y = sum_y / (number)corners;
+  leader_begin_cell(child, corners);
+  return true;
+}
+
+/* Goes to the next cell, depth first, and leaves its arrangement in `level`: -1 after the last cell. */
+void leader_next_cell(SPACE Workspace *work) {
+  int k = LESSER(work->level, LAST_ARRANGEMENT - 1);
+  while (k >= 0 && !leader_descend(work, k)) --k;
+  work->level = k < 0 ? -1 : k + 1;
+}
+
+/* The affine functions of layer k + 1 inside the current face of arrangement k. */
+void next_lines(SPACE Workspace *work, __global const Tables *tables, const int k, const int lane) {
+  SPACE const Lines *lines = &work->lines[k];
+  SPACE Lines *next = &work->lines[k + 1];
+  const int inputs = WIDTH[k + 1];
+  const int outputs = WIDTH[k + 2];
+  const int stride = STRIDE[k + 1];
+  __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[k + 1];
+  const number mean_x = work->mean_x;
+  const number mean_y = work->mean_y;
+  for (int j = lane * VEC; j < outputs; j += LANES * VEC) {
+    numbers a = 0;
+    numbers b = 0;
+    numbers c = LOAD(tables->scaled_bias + BIAS_OFFSET[k + 1] + j);
+    for (int i = 0; i < inputs; ++i) {
+      const bool active = FMA(lines->a[i], mean_x, FMA(lines->b[i], mean_y, lines->c[i])) >= 0;
+#if LEAKY
+      const numbers weight =
+          LOAD(matrix + i * stride + j) * (active ? (number)1 : (number)NEGATIVE_SLOPE);
+#else
+      if (!active) continue;
+      const numbers weight = LOAD(matrix + i * stride + j);
+#endif
+      a = FMA(weight, (numbers)lines->a[i], a);
+      b = FMA(weight, (numbers)lines->b[i], b);
+      c = FMA(weight, (numbers)lines->c[i], c);
+    }
+    STORE(a, next->a + j);
+    STORE(b, next->b + j);
+    STORE(c, next->c + j);
+  }
+}
+
+/* Clears the sums of a point and makes the unit square the first cell. */
+void leader_begin_point(SPACE Workspace *work) {
+  work->area = 0;
+  work->area_error = 0;
+  work->faces = 0;
+  work->level = 0;
+  for (int k = 0; k < ARRANGEMENTS; ++k) work->arrangement[k].failed = 0;
+  leader_begin_unit_square(&work->arrangement[0]);
+}
+
+/* Walks all cells of one point's network and leaves the last hidden layer's integrals in `moment`. */
+void integrate_network(SPACE Workspace *work, __global Tables *tables, const int lane) {
+  clear_moments(tables, lane);
+  first_lines(&work->lines[0], tables, lane);
+  if (lane == 0) leader_begin_point(work);
+  BARRIER();
+#if METHOD_FULL || HIDDEN > 1
+  add_lines(&work->arrangement[0], &work->lines[0], work->crossing, WIDTH[1], 1, lane);
+#endif
+#if ARRANGEMENTS == 1
+  integrate_cell(work, tables, lane);
+#else
+  for (;;) {
+    if (lane == 0) leader_next_cell(work);
+    BARRIER();
+    const int k = work->level;
+    if (k < 0) break;
+    next_lines(work, tables, k - 1, lane);
+    BARRIER();
+    add_lines(&work->arrangement[k], &work->lines[k], work->crossing, WIDTH[k + 1], (ushort)(k + 1), lane);
+    if (k == LAST_ARRANGEMENT) integrate_cell(work, tables, lane);
+  }
+#endif
+}
+
+#if WRITE_MOMENTS
+/* M with its powers of two put back. */
+void write_moments(__global Tables *tables, __global number *moments, const int lane) {
+  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC)
+    STORE(times_power_of_two(LOAD(tables->moment + j),
+                             LOAD(tables->exponent + BIAS_OFFSET[HIDDEN - 1] + j)),
+          tables->moment_error + j);
+  BARRIER();
+  for (int j = lane; j < WIDTH[HIDDEN]; j += LANES) moments[j] = tables->moment_error[j];
+}
+#endif
+
+#endif
+
+/* G = b + W M for all channels, through the scaled output layer. */
+void write_outputs(__global Tables *tables, __global number *G, const int lane) {
+  const int channels = WIDTH[HIDDEN + 1];
+  __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN];
+  for (int j = lane * VEC; j < channels; j += LANES * VEC) {
+    numbers sum = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN] + j);
+    for (int i = 0; i < WIDTH[HIDDEN]; ++i) {
+#if HIDDEN > 0
+      const number moment = tables->moment[i];
+#else
+      const number moment = (number)0.5f;
+#endif
+      sum = FMA(LOAD(matrix + i * STRIDE[HIDDEN] + j), (numbers)moment, sum);
+    }
+    STORE(times_power_of_two(sum, LOAD(tables->exponent + BIAS_OFFSET[HIDDEN] + j)), tables->output + j);
+  }
+  BARRIER();
+  for (int j = lane; j < channels; j += LANES) G[j] = tables->output[j];
+}
+
+/* Whether the point's result can be trusted. */
+bool leader_certifies(SPACE const Workspace *work, __global const Tables *tables) {
+  bool certified = true;
+#if HIDDEN > 0
+  for (int k = 0; k < ARRANGEMENTS; ++k) certified = certified && !work->arrangement[k].failed;
+  certified = certified && fabs(work->area - 1) <= (number)AREA_TOLERANCE;
+#else
+  (void)work;
+#endif
+  for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) certified = certified && isfinite(tables->output[j]);
+  return certified;
+}
+
+/* Zeroes what vector loads touch beyond the numbers in use. */
+void clear_padding(SPACE Workspace *work, __global Tables *tables, const int lane) {
+  for (int i = lane; i < MATRIX_NUMBERS; i += LANES) tables->matrix[i] = 0;
+  for (int i = lane; i < BIAS_NUMBERS; i += LANES) tables->bias[i] = 0;
+#if HIDDEN > 0
+  for (int k = 0; k < ARRANGEMENTS; ++k) {
+    for (int i = lane; i < MAX_VERTICES; i += LANES) {
+      work->arrangement[k].x[i] = 0;
+      work->arrangement[k].y[i] = 0;
+    }
+  }
+#else
+  (void)work;
+#endif
+}
+
+/* ---- kernels ------------------------------------------------------------------------------------- */
+
+__kernel void integrate_memory(__global int *bytes) {
+  bytes[0] = (int)sizeof(Workspace);
+  bytes[1] = (int)sizeof(Tables);
+}
+
+/* What all points share is loaded for the group's first point only. */
+#define LOAD_LAYER(k)                                                                        \
+  if (first || PER_POINT_WEIGHTS_##k)                                                        \
+    load_weights(tables, k, weights_##k + PER_POINT_WEIGHTS_##k * p * MATRIX_SIZE(k), lane); \
+  if (first || PER_POINT_BIASES_##k)                                                         \
+    load_biases(tables, k, biases_##k + PER_POINT_BIASES_##k * p * BIAS_SIZE(k), lane);
+#define MATRIX_SIZE(k) ((size_t)WIDTH[k] * (size_t)WIDTH[(k) + 1])
+#define BIAS_SIZE(k) ((size_t)WIDTH[(k) + 1])
+
+/* Points [begin, end), `run` at a time. counters: [0] the queue's head, [1] the length of `retry`. */
+__kernel __attribute__((reqd_work_group_size(LANES, 1, 1)))
+void integrate(const int begin, const int end, const int run, __global int *counters,
+               __global int *retry, __global ulong *group_faces, __global number *G,
+#if WRITE_MOMENTS
+               __global number *moments,
+#endif
+               __global Workspace *all_work, __global Tables *all_tables,
+               NETWORK_ARGUMENTS) {
+  const int lane = (int)get_local_id(0);
+  __global Tables *tables = all_tables + get_group_id(0);
+#if WORK_IS_LOCAL
+  __local Workspace local_work;
+  __local Workspace *work = &local_work;
+  (void)all_work;
+#else
+  __global Workspace *work = all_work + get_group_id(0);
+#endif
+  clear_padding(work, tables, lane);
+  bool first = true;
+  ulong faces = 0;
+  for (;;) {
+    BARRIER();
+    if (lane == 0) work->first_point = begin + atomic_add(&counters[0], run);
+    BARRIER();
+    const int start = work->first_point;
+    if (start >= end) break;
+    const int stop = LESSER(end, start + run);
+    for (int point = start; point < stop; ++point) {
+      const size_t p = (size_t)point;
+      FOR_EACH_LAYER(LOAD_LAYER)
+      first = false;
+      BARRIER();
+      for (int k = 0; k <= HIDDEN; ++k) {
+        scale_layer(tables, k, lane);
+        BARRIER();
+      }
+#if HIDDEN > 0
+      integrate_network(work, tables, lane);
+#endif
+      write_outputs(tables, G + p * (size_t)WIDTH[HIDDEN + 1], lane);
+#if WRITE_MOMENTS
+      write_moments(tables, moments + p * (size_t)WIDTH[HIDDEN], lane);
+#endif
+      if (lane == 0) {
+#if HIDDEN > 0
+        faces += (ulong)work->faces;
+#endif
+        if (!leader_certifies(work, tables)) retry[atomic_inc(&counters[1])] = point;
+      }
+      BARRIER();
+    }
+  }
+  if (lane == 0) group_faces[get_group_id(0)] += faces;
+}

@@ -1,0 +1,183 @@
+/* Method `decoupled`, last step: the integrals of the last hidden layer's neurons over the faces of the
+ * arrangement before. The neurons are affine there but change sign; no face is cut for that: on a triangle
+ * the integral of relu(z) has a closed form in the values at the vertices (triangle_integral).
+ *
+ * Network values are taken once per vertex, faces share them. Triangles and neurons are the two loops that cost:
+ * VEC neurons at a time on CPUs, a lane a neuron on GPUs.
+ *
+ * Work-group contract: leader_* for lane 0 between barriers; the others for all lanes, end with a barrier.
+ */
+
+/* All faces of the last arrangement as fans of triangles. */
+void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
+  SPACE Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
+  int triangles = 0;
+  number area = work->area;
+  number area_error = work->area_error;
+  for (int f = 0; f < d->faces; ++f) {
+    const int first = d->face[f];
+    HalfEdge edge = d->edge[first];
+    const int apex = edge.origin;
+    const number x0 = d->x[apex];
+    const number y0 = d->y[apex];
+    edge = d->edge[edge.next];
+    int v1 = edge.origin;
+    number x1 = d->x[v1] - x0;
+    number y1 = d->y[v1] - y0;
+    number absolute = 0;
+    while (edge.next != first) {
+      edge = d->edge[edge.next];
+      const int v2 = edge.origin;
+      const number x2 = d->x[v2] - x0;
+      const number y2 = d->y[v2] - y0;
+      const number doubled = cross_product(x1, y1, x2, y2);
+      __global Triangle *triangle = &tables->triangle[triangles++];
+      triangle->third_area = doubled * ((number)1 / (number)6);
+      triangle->vertex[0] = (ushort)apex;
+      triangle->vertex[1] = (ushort)v1;
+      triangle->vertex[2] = (ushort)v2;
+      absolute += fabs(doubled);
+      x1 = x2;
+      y1 = y2;
+      v1 = v2;
+    }
+    COMPENSATED_ADD(number, area, area_error, (number)0.5f * absolute);
+  }
+  work->area = area;
+  work->area_error = area_error;
+  work->faces += d->faces;
+  work->listed = triangles;
+}
+
+#if HIDDEN == 1
+
+/* The values of the only hidden layer's neurons at all vertices: they are affine in the whole square. */
+void vertex_values(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+  SPACE const Dcel *d = &work->arrangement[0];
+  SPACE const Lines *lines = &work->lines[0];
+  for (int j = lane * VEC; j < WIDTH[1]; j += LANES * VEC)
+    for (int v = 0; v < d->vertices; ++v)
+      STORE(FMA(LOAD(lines->a + j), (numbers)d->x[v],
+                FMA(LOAD(lines->b + j), (numbers)d->y[v], LOAD(lines->c + j))),
+            tables->value + v * MOMENT_STRIDE + j);
+  BARRIER();
+}
+
+#else
+
+/* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. */
+void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
+  SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
+  SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];
+  for (int v = lane * VEC; v < TILE; v += LANES * VEC) {
+    const numbers x = LOAD(d->x + tile + v);
+    const numbers y = LOAD(d->y + tile + v);
+    for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i)
+      STORE(activate(FMA((numbers)lines->a[i], x, FMA((numbers)lines->b[i], y, (numbers)lines->c[i]))),
+            tables->activation + i * TILE + v);
+  }
+}
+
+/* The last hidden layer's neurons at these vertices, before activation, neurons across lanes. */
+void tile_values(__global Tables *tables, const int tile, const int vertices, const int lane) {
+  const int rows = LESSER(TILE, vertices - tile);
+  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC) {
+    __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN - 1] + j;
+    const numbers bias = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN - 1] + j);
+    /* Four vertices share each load of the matrix; a tile is a multiple of four. */
+    for (int v = 0; v < rows; v += 4) {
+      numbers z0 = bias;
+      numbers z1 = bias;
+      numbers z2 = bias;
+      numbers z3 = bias;
+      for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
+        const numbers weight = LOAD(matrix + i * MOMENT_STRIDE);
+        __global const number *h = tables->activation + i * TILE + v;
+        z0 = FMA(weight, (numbers)h[0], z0);
+        z1 = FMA(weight, (numbers)h[1], z1);
+        z2 = FMA(weight, (numbers)h[2], z2);
+        z3 = FMA(weight, (numbers)h[3], z3);
+      }
+      __global number *value = tables->value + (tile + v) * MOMENT_STRIDE + j;
+      STORE(z0, value);
+      STORE(z1, value + MOMENT_STRIDE);
+      STORE(z2, value + 2 * MOMENT_STRIDE);
+      STORE(z3, value + 3 * MOMENT_STRIDE);
+    }
+  }
+}
+
+/* The values of the last hidden layer's neurons at all vertices of the last arrangement. */
+void vertex_values(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+  const int vertices = work->arrangement[LAST_ARRANGEMENT].vertices;
+  for (int tile = 0; tile < vertices; tile += TILE) {
+    tile_activations(work, tables, tile, lane);
+    BARRIER();
+    tile_values(tables, tile, vertices, lane);
+    BARRIER();
+  }
+}
+
+#endif
+
+/* The integral of the activation of z over a triangle, divided by a third of the triangle's area; z0, z1, z2
+ * are the values at its vertices.
+ *
+ * With values sorted low <= middle <= high, the integral of relu over the area / 3 is
+ *   low >= 0           low + middle + high
+ *   high <= 0          0
+ *   middle <= 0 < high high r,                      r = high^2 / ((high - middle) (high - low))
+ *   low < 0 < middle   low + middle + high - low r, r = low^2 / ((low - middle) (low - high))
+ * In both mixed cases one vertex, the apex, is alone on its side. Setting the apex to 0 where it is not makes
+ * the four cases one. Each r is at most 1. TINY keeps 0 / 0 and underflow out: r is then at most 1 too. */
+numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2) {
+  const numbers lesser = LESSER(z0, z1);
+  const numbers greater = GREATER(z0, z1);
+  const numbers low = LESSER(lesser, z2);
+  const numbers high = GREATER(greater, z2);
+  const numbers below_high = LESSER(greater, z2);
+  const numbers middle = GREATER(lesser, below_high);
+  const numbers sum = z0 + z1 + z2;
+  const numbers apex = middle > 0 ? LESSER(low, (numbers)0) : GREATER(high, (numbers)0);
+  const numbers opposite = middle > 0 ? high : low;
+  const numbers product = (apex - middle) * (apex - opposite);
+  const numbers share = apex * apex / GREATER(product, (numbers)TINY);
+  const numbers positive = FMA(fabs(apex), share, middle > 0 ? sum : (numbers)0);
+#if LEAKY
+  return FMA((numbers)(number)NEGATIVE_SLOPE, sum - positive, positive);
+#else
+  return positive;
+#endif
+}
+
+/* Adds the triangles to the moments, neurons across lanes. */
+void add_triangles(__global Tables *tables, const int triangles, const int lane) {
+  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC) {
+    __global const number *value = tables->value + j;
+    numbers moment = LOAD(tables->moment + j);
+    numbers error = LOAD(tables->moment_error + j);
+    for (int first = 0; first < triangles; first += TRIANGLES_A_SUM) {
+      const int last = LESSER(first + TRIANGLES_A_SUM, triangles);
+      numbers sum = 0;
+      for (int t = first; t < last; ++t) {
+        __global const Triangle *triangle = &tables->triangle[t];
+        const numbers integral = triangle_integral(LOAD(value + triangle->vertex[0] * MOMENT_STRIDE),
+                                                   LOAD(value + triangle->vertex[1] * MOMENT_STRIDE),
+                                                   LOAD(value + triangle->vertex[2] * MOMENT_STRIDE));
+        sum = FMA((numbers)triangle->third_area, integral, sum);
+      }
+      COMPENSATED_ADD(numbers, moment, error, sum);
+    }
+    STORE(moment, tables->moment + j);
+    STORE(error, tables->moment_error + j);
+  }
+}
+
+/* Adds the cell's last arrangement to the moments. */
+void integrate_cell(SPACE Workspace *work, __global Tables *tables, const int lane) {
+  if (lane == 0) leader_list_triangles(work, tables);
+  BARRIER();
+  vertex_values(work, tables, lane);
+  add_triangles(tables, work->listed, lane);
+  BARRIER();
+}

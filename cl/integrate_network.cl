@@ -1,0 +1,138 @@
+/* What a work-group keeps while it integrates a network, and how the network's parameters get there.
+ *
+ * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on GPUs
+ * if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes share out.
+ * Matrices lie transposed, [input][output], outputs padded with zeros to whole vectors, so that the weights of
+ * VEC neurons are one load.
+ *
+ * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2), and the
+ * next layer's column by the inverse. Only exponents are added up, so nothing overflows or vanishes on the way
+ * from weights of any size; relu and leaky relu commute with positive factors.
+ *
+ * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the sizes of
+ * the arrays below.
+ *
+ * Work-group contract: all functions are called by all lanes and hold no barriers.
+ */
+
+#define LAST_ARRANGEMENT (ARRANGEMENTS - 1)
+/* Vertices whose first activations are held at a time: a multiple of four. */
+#define TILE (VEC * LANES < 4 ? 4 : VEC * LANES)
+
+/* A face of the last arrangement: area, first moments, mean of its corners. */
+typedef struct {
+  number area;
+  number x;
+  number y;
+  number mean_x;
+  number mean_y;
+} Face;
+
+typedef struct {
+  number third_area;
+  ushort vertex[3];
+} Triangle;
+
+typedef struct {
+  Dcel arrangement[ARRANGEMENTS];
+  Lines lines[LINE_LAYERS];
+  int crossing[LINE_STRIDE + 1];
+  int first_point;
+  int level;
+  int listed;
+  int faces;
+  int certified;
+  number mean_x;
+  number mean_y;
+  /* Sum of the absolute areas, compensated. */
+  number area;
+  number area_error;
+} Workspace;
+
+typedef struct {
+  number matrix[MATRIX_NUMBERS] __attribute__((aligned(64)));
+  number bias[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number scaled_matrix[MATRIX_NUMBERS] __attribute__((aligned(64)));
+  number scaled_bias[BIAS_NUMBERS] __attribute__((aligned(64)));
+  exponent_bits exponent[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number moment[MOMENT_STRIDE] __attribute__((aligned(64)));
+  number moment_error[MOMENT_STRIDE] __attribute__((aligned(64)));
+  number output[OUTPUT_STRIDE] __attribute__((aligned(64)));
+#if METHOD_FULL
+  Face face[MAX_FACES];
+#else
+  number activation[LINE_STRIDE * TILE] __attribute__((aligned(64)));
+  number value[MAX_VERTICES * MOMENT_STRIDE] __attribute__((aligned(64)));
+  Triangle triangle[MAX_TRIANGLES];
+#endif
+} __attribute__((aligned(64))) Tables;
+
+/* Layer k maps WIDTH[k] numbers to WIDTH[k + 1]; outputs are padded to STRIDE[k]. */
+__constant int WIDTH[] = {WIDTHS};
+__constant int STRIDE[] = {STRIDES};
+__constant int MATRIX_OFFSET[] = {MATRIX_OFFSETS};
+__constant int BIAS_OFFSET[] = {BIAS_OFFSETS};
+
+numbers activate(const numbers z) {
+#if LEAKY
+  return z < 0 ? (number)NEGATIVE_SLOPE * z : z;
+#else
+  return z > 0 ? z : (numbers)0;
+#endif
+}
+
+/* ---- parameters ---------------------------------------------------------------------------------- */
+
+/* Transposes the row-major weights of layer k into `matrix`. */
+void load_weights(__global Tables *tables, const int k, __global const number *weights, const int lane) {
+  const int inputs = WIDTH[k];
+  const int stride = STRIDE[k];
+  __global number *matrix = tables->matrix + MATRIX_OFFSET[k];
+  for (int j = lane; j < WIDTH[k + 1]; j += LANES)
+    for (int i = 0; i < inputs; ++i) matrix[i * stride + j] = weights[j * inputs + i];
+}
+
+/* Copies the biases of layer k. */
+void load_biases(__global Tables *tables, const int k, __global const number *biases, const int lane) {
+  for (int j = lane; j < WIDTH[k + 1]; j += LANES) tables->bias[BIAS_OFFSET[k] + j] = biases[j];
+}
+
+/* Scales the neurons of layer k by powers of two, given the exponents taken out of the layer before.
+ * */
+void scale_layer(__global Tables *tables, const int k, const int lane) {
+  const int inputs = WIDTH[k];
+  const int outputs = WIDTH[k + 1];
+  const int stride = STRIDE[k];
+  __global const number *matrix = tables->matrix + MATRIX_OFFSET[k];
+  __global number *scaled = tables->scaled_matrix + MATRIX_OFFSET[k];
+  __global const exponent_bits *before = tables->exponent + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
+  for (int j = lane * VEC; j < outputs; j += LANES * VEC) {
+    const numbers bias = LOAD(tables->bias + BIAS_OFFSET[k] + j);
+    exponents largest = exponent_of(bias);
+    for (int i = 0; i < inputs; ++i) {
+      const exponents e = exponent_of(LOAD(matrix + i * stride + j)) + (k > 0 ? before[i] : 0);
+      largest = GREATER(largest, e);
+    }
+    STORE(times_power_of_two(bias, -largest), tables->scaled_bias + BIAS_OFFSET[k] + j);
+    for (int i = 0; i < inputs; ++i)
+      STORE(times_power_of_two(LOAD(matrix + i * stride + j), (k > 0 ? before[i] : 0) - largest),
+            scaled + i * stride + j);
+    STORE(largest, tables->exponent + BIAS_OFFSET[k] + j);
+  }
+}
+
+/* The first layer's neurons are lines in the unit square. */
+void first_lines(SPACE Lines *lines, __global const Tables *tables, const int lane) {
+  for (int j = lane * VEC; j < WIDTH[1]; j += LANES * VEC) {
+    STORE(LOAD(tables->scaled_matrix + j), lines->a + j);
+    STORE(LOAD(tables->scaled_matrix + STRIDE[0] + j), lines->b + j);
+    STORE(LOAD(tables->scaled_bias + j), lines->c + j);
+  }
+}
+
+void clear_moments(__global Tables *tables, const int lane) {
+  for (int j = lane; j < MOMENT_STRIDE; j += LANES) {
+    tables->moment[j] = 0;
+    tables->moment_error[j] = 0;
+  }
+}

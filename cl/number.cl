@@ -1,0 +1,116 @@
+/* Numbers of the geometric integration: float, or double with -D DOUBLE=1; one (`number`) or VEC of them
+ * (`numbers`), their exponents, sums that keep their rounding errors, and the
+ * arguments of a network of HIDDEN hidden layers.
+ *
+ * BARRIER separates what lane 0 wrote from what all lanes read; with one lane there is nothing to wait for.
+ *
+ * Work-group contract: none; functions of private values.
+ */
+
+#if DOUBLE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double number;
+typedef long exponent_bits;
+#define MANTISSA_BITS 52
+#define EXPONENT_MASK 2047
+#define EXPONENT_BIAS 1023
+#define NUMBER_NAME double
+#define EXPONENT_NAME long
+#else
+typedef float number;
+typedef int exponent_bits;
+#define MANTISSA_BITS 23
+#define EXPONENT_MASK 255
+#define EXPONENT_BIAS 127
+#define NUMBER_NAME float
+#define EXPONENT_NAME int
+#endif
+
+/* `numbers` and `exponents`: VEC at a time. */
+#if VEC == 1
+typedef number numbers;
+typedef exponent_bits exponents;
+#define AS_EXPONENTS(x) JOIN(as_, EXPONENT_NAME)(x)
+#define AS_NUMBERS(x) JOIN(as_, NUMBER_NAME)(x)
+#else
+typedef JOIN(NUMBER_NAME, VEC) numbers;
+typedef JOIN(EXPONENT_NAME, VEC) exponents;
+#define AS_EXPONENTS(x) JOIN(JOIN(as_, EXPONENT_NAME), VEC)(x)
+#define AS_NUMBERS(x) JOIN(JOIN(as_, NUMBER_NAME), VEC)(x)
+#endif
+
+/* Not fmin and fmax, whose rule for NaN costs two more instructions; there are no NaNs here. */
+#define LESSER(a, b) ((a) < (b) ? (a) : (b))
+#define GREATER(a, b) ((a) > (b) ? (a) : (b))
+
+#if LANES == 1
+#define BARRIER() ((void)0)
+#else
+#define BARRIER() barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE)
+#endif
+
+/* x * 2^k for any k, exact unless the result is subnormal. */
+numbers times_power_of_two(const numbers x, const exponents k) {
+  const exponents low = 1 - EXPONENT_BIAS;
+  const exponents high = EXPONENT_BIAS;
+  const exponents half_k = k >> 1;
+  const exponents k1 = half_k < low ? low : half_k > high ? high : half_k;
+  const exponents rest = k - half_k;
+  const exponents k2 = rest < low ? low : rest > high ? high : rest;
+  return x * AS_NUMBERS((k1 + EXPONENT_BIAS) << MANTISSA_BITS) *
+         AS_NUMBERS((k2 + EXPONENT_BIAS) << MANTISSA_BITS);
+}
+
+/* The exponent e of 2^e <= |x| < 2^(e + 1); the lowest one for zeros and subnormals. */
+exponents exponent_of(const numbers x) {
+  return ((AS_EXPONENTS(x) >> MANTISSA_BITS) & EXPONENT_MASK) - EXPONENT_BIAS;
+}
+
+/* sum += term, with the rounding error carried along (Kahan). */
+#define COMPENSATED_ADD(type, sum, error, term) \
+  do {                                          \
+    const type corrected = (term) - (error);    \
+    const type total = (sum) + corrected;       \
+    (error) = (total - (sum)) - corrected;      \
+    (sum) = total;                              \
+  } while (0)
+
+/* Twice the signed area of a triangle from two of its sides; with fma the rounding of the second
+ * product is returned to the difference (Kahan), so that slivers keep their relative precision. */
+number cross_product(const number ax, const number ay, const number bx, const number by) {
+#if USE_FMA
+  const number product = ay * bx;
+  return fma(ax, by, -product) + fma(-ay, bx, product);
+#else
+  return ax * by - ay * bx;
+#endif
+}
+
+/* The network's arrays as kernel arguments, two a layer. */
+#define LAYER_ARGUMENTS(k) __global const number *weights_##k, __global const number *biases_##k
+#if HIDDEN == 0
+#define NETWORK_ARGUMENTS LAYER_ARGUMENTS(0)
+#elif HIDDEN == 1
+#define NETWORK_ARGUMENTS LAYER_ARGUMENTS(0), LAYER_ARGUMENTS(1)
+#elif HIDDEN == 2
+#define NETWORK_ARGUMENTS LAYER_ARGUMENTS(0), LAYER_ARGUMENTS(1), LAYER_ARGUMENTS(2)
+#elif HIDDEN == 3
+#define NETWORK_ARGUMENTS \
+  LAYER_ARGUMENTS(0), LAYER_ARGUMENTS(1), LAYER_ARGUMENTS(2), LAYER_ARGUMENTS(3)
+#else
+#define NETWORK_ARGUMENTS \
+  LAYER_ARGUMENTS(0), LAYER_ARGUMENTS(1), LAYER_ARGUMENTS(2), LAYER_ARGUMENTS(3), LAYER_ARGUMENTS(4)
+#endif
+
+/* A statement for each layer. */
+#if HIDDEN == 0
+#define FOR_EACH_LAYER(statement) statement(0)
+#elif HIDDEN == 1
+#define FOR_EACH_LAYER(statement) statement(0) statement(1)
+#elif HIDDEN == 2
+#define FOR_EACH_LAYER(statement) statement(0) statement(1) statement(2)
+#elif HIDDEN == 3
+#define FOR_EACH_LAYER(statement) statement(0) statement(1) statement(2) statement(3)
+#else
+#define FOR_EACH_LAYER(statement) statement(0) statement(1) statement(2) statement(3) statement(4)
+#endif

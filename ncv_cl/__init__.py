@@ -1,0 +1,35 @@
+"""Neural control variates for light transport, in OpenCL.
+
+One small ReLU network is trained for all the two-dimensional integrals of an image; its integral is
+exact, and Monte Carlo estimates what it leaves.
+"""
+
+from __future__ import annotations
+
+from .choose import choose_device, devices
+from .device import Device, DeviceError
+from .image import Image
+from .integrands import AmbientOcclusion, DirectLight, Integrand, IntegrandError
+from .integrate import integrate
+from .network import Network, NetworkError
+from .render import render
+from .scene import Scene, SceneError, load_scene
+
+__all__ = [
+    "AmbientOcclusion",
+    "Device",
+    "DeviceError",
+    "DirectLight",
+    "Image",
+    "Integrand",
+    "IntegrandError",
+    "Network",
+    "NetworkError",
+    "Scene",
+    "SceneError",
+    "choose_device",
+    "devices",
+    "integrate",
+    "load_scene",
+    "render",
+]

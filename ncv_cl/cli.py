@@ -1,0 +1,190 @@
+"""The console script `ncv-cl`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+from .choose import devices
+from .device import DeviceError
+from .image import check_output_path, read_reference
+from .integrands import INTEGRANDS, AmbientOcclusion, Integrand
+from .integrands.ao import MAPPINGS
+from .presets import PRESETS
+from .render import METHODS, package_version, render
+from .sampler import SAMPLERS
+from .scene import load_scene
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit status (2 for bad input)."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except (ValueError, DeviceError, OSError) as error:
+        print(f"ncv-cl: error: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ncv-cl", description="Neural control variates for light transport, in OpenCL."
+    )
+    parser.add_argument("--version", action="version", version=f"ncv_cl {package_version()}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_render(commands)
+    listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they infer")
+    listing.set_defaults(command=_devices)
+    return parser
+
+
+def _add_render(commands: argparse._SubParsersAction) -> None:
+    parser = commands.add_parser(
+        "render",
+        help="render a scene",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add = parser.add_argument
+    add("scene", help="scene file (.toml)")
+    add("--integrand", choices=sorted(INTEGRANDS), default="direct", help="what to integrate")
+    add("--method", choices=METHODS, default="ncv", help="neural control variate or Monte Carlo")
+    add("--sampler", choices=SAMPLERS, default="sobol", help="points of the unit square")
+    add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
+    add(
+        "--train-spp",
+        type=_train_spp,
+        default="auto",
+        metavar="M",
+        help="training samples a shading point on average, may be fractional",
+    )
+    add("--preset", choices=PRESETS, default="default", help="network and training schedule")
+    add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
+    add("--supersample", type=int, default=1, metavar="K", help="K x K shading points a pixel")
+    add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
+    add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
+    add("--threads", type=int, metavar="T", help="host threads that trace rays (default: all cores)")
+    add("--radius", type=float, default=math.inf, help="ambient occlusion: farthest occluder")
+    add(
+        "--mapping",
+        choices=MAPPINGS,
+        default="height",
+        help="ambient occlusion: hemisphere mapping",
+    )
+    add(
+        "-o",
+        "--output",
+        action="append",
+        required=True,
+        metavar="FILE",
+        help=".exr or .png; repeatable",
+    )
+    add("--json", metavar="FILE", help="write the statistics here")
+    add("--reference", metavar="FILE", help="image to measure the error against")
+    parser.set_defaults(command=_render)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, separator, height = text.lower().partition("x")
+    if not (separator and width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT such as 512x512, got {text!r}")
+    return int(width), int(height)
+
+
+def _train_spp(text: str) -> float | str:
+    if text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number or auto, got {text!r}") from None
+
+
+def _integrand(options: argparse.Namespace) -> Integrand:
+    if options.integrand == AmbientOcclusion.name:
+        return AmbientOcclusion(options.radius, options.mapping)
+    return INTEGRANDS[options.integrand]()
+
+
+class _StopOnInterrupt:
+    """The first Ctrl-C ends rendering after the pass under way; a second one ends it at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        signal.signal(signal.SIGINT, self._handle)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        print("\nstopping after this pass; press Ctrl-C again to stop at once", file=sys.stderr)
+
+    def __call__(self) -> bool:
+        return self.asked
+
+
+def _render(options: argparse.Namespace) -> int:
+    # What can be refused is refused before the work, not after it.
+    for path in (*options.output, *([options.json] if options.json else [])):
+        if not Path(path).resolve().parent.is_dir():
+            raise ValueError(f"{path}: the folder does not exist; make it first")
+    for path in options.output:
+        check_output_path(path)
+    width, height = options.size
+    reference = read_reference(options.reference, (height, width)) if options.reference else None
+    stop = _StopOnInterrupt()
+    image = render(
+        load_scene(options.scene),
+        _integrand(options),
+        options.method,
+        options.sampler,
+        options.spp,
+        options.train_spp,
+        options.preset,
+        options.size,
+        options.supersample,
+        options.seed,
+        options.device,
+        options.threads,
+        reference,
+        progress=True,
+        stop=stop,
+    )
+    for path in options.output:
+        image.write(path)
+    if options.json:
+        Path(options.json).write_text(json.dumps(image.stats, indent=1) + "\n", encoding="utf-8")
+    if stop.asked:
+        print(f"stopped early: {image.stats['samples_per_point']} samples a point are in the image")
+    print(_summary(image.stats))
+    print("wrote " + ", ".join(options.output))
+    return 0
+
+
+def _summary(stats: dict) -> str:
+    """The statistics as a short table."""
+    lines = [f"device   {stats['device']}"]
+    lines += [f"{stage:<10}{seconds:>9.3f} s" for stage, seconds in stats["seconds"].items()]
+    lines += [
+        f"{stats['points']} shading points ({stats['points_skipped']} skipped), "
+        f"{stats['samples_per_point']} samples each, "
+        f"{stats['rays_traced']} rays traced ({stats['rays_skipped']} skipped)"
+    ]
+    if "residual_variance_ratio" in stats:
+        lines.append(f"residual variance / plain variance {stats['residual_variance_ratio']:.4f}")
+    if "mse" in stats:
+        lines.append(f"MSE {stats['mse']:.6g}  relMSE {stats['relmse']:.6g}")
+    return "\n".join(lines)
+
+
+def _devices(options: argparse.Namespace) -> int:
+    print(devices())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""Named choices of network and training schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .encode import Encoding
+from .integrands import Integrand
+from .network import GROUPS, NetworkDescription
+from .train import TrainSettings
+
+# More than any image has points: the whole frame is one minibatch.
+_WHOLE_FRAME = 1 << 31
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A network and how it is trained.
+
+    Attributes
+    ----------
+    hidden, modulated, demodulates
+        As in `NetworkDescription`; `demodulates` takes effect where the integrand asks for it.
+    grid_levels, grid_features, grid_base, grid_entries
+        As in `Encoding`.
+    settings : TrainSettings
+    subset : bool
+        Whether training may draw its samples at some of the points, when there are many.
+    """
+
+    hidden: tuple[int, int]
+    modulated: tuple[str, ...]
+    demodulates: bool
+    grid_levels: int
+    grid_features: int
+    grid_base: int
+    grid_entries: int
+    settings: TrainSettings
+    subset: bool
+
+    def description(self, integrand: Integrand, inputs: tuple[str, ...]) -> NetworkDescription:
+        """The network for an integrand of which `inputs` vary."""
+        encoding = Encoding(
+            inputs, self.grid_levels, self.grid_features, self.grid_base, self.grid_entries
+        )
+        demodulated = self.demodulates and integrand.demodulated
+        return NetworkDescription(encoding, integrand.channels, self.hidden, self.modulated, demodulated)
+
+
+PRESETS = {
+    # What measured best: little capacity in (u, v), much in φ, many small steps.
+    "default": Preset(
+        hidden=(16, 16),
+        modulated=GROUPS,
+        demodulates=True,
+        grid_levels=6,
+        grid_features=4,
+        grid_base=4,
+        grid_entries=1 << 16,
+        settings=TrainSettings(),
+        subset=True,
+    ),
+    # The slides' network and schedule: two layers of 32, φ in the first bias alone, one sample of
+    # every point an iteration, one Adam step each.
+    "slides": Preset(
+        hidden=(32, 32),
+        modulated=("B1",),
+        demodulates=False,
+        grid_levels=4,
+        grid_features=2,
+        grid_base=8,
+        grid_entries=1 << 15,
+        settings=TrainSettings(
+            batch=_WHOLE_FRAME, samples_a_step=1, passes=1, final_rate=1e-2, weight_power=0.0
+        ),
+        subset=False,
+    ),
+}

@@ -1,0 +1,43 @@
+"""Render a few pixels on the only device there is: what test_oclgrind.py runs under the simulator.
+
+Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES
+"""
+
+import sys
+
+from ncv_cl import render
+from ncv_cl.device import HostArray, list_cl_devices, open_device
+
+
+def avoid_false_reports() -> None:
+    """Work around what oclgrind 21.10 does not follow when it looks for uninitialised memory.
+
+    It takes what clEnqueueFillBuffer wrote for uninitialised; and where a released buffer's number is
+    given to a larger one, it takes the larger one's end for uninitialised.
+    """
+    kept = []
+    create = HostArray.__init__
+
+    def create_and_keep(array, *arguments):
+        create(array, *arguments)
+        kept.append(array.buffer)
+
+    def fill_from_host(array, value):
+        with array.mapped(write=True) as view:
+            view[...] = value
+
+    HostArray.__init__ = create_and_keep
+    HostArray.fill = fill_from_host
+
+
+def main(scene: str, integrand: str, method: str, sampler: str, vec: str, lanes: str) -> None:
+    avoid_false_reports()
+    (simulator,) = list_cl_devices()
+    # An explicit device: choosing one would run the micro-benchmark in the simulator.
+    device = open_device(simulator, vector_width=int(vec), lanes=int(lanes))
+    image = render(scene, integrand, method, sampler, spp=4, train_spp=2, size=(4, 4), device=device)
+    print(f"{device.name}: {image.stats['points']} points, mean {float(image.pixels.mean())!r}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

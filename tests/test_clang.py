@@ -1,0 +1,128 @@
+"""Every program that rendering and integration build passes clang's front end without a warning."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ncv_cl import AmbientOcclusion, DirectLight, integrate, program, render
+from ncv_cl.device import GPU_LANES, Device, open_device
+from ncv_cl.integrate import AREA_TOLERANCE
+from ncv_cl.sampler import SAMPLERS
+
+CLANG = shutil.which("clang")
+FLAGS = ["-x", "cl", "-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-fsyntax-only"]
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+
+# Scenes specialise kernels by their lights and materials: one light and matte, several and glossy.
+MATTE = """
+[camera]
+position = [0, 1, 3]
+target = [0, 0, 0]
+vertical_fov = 40
+[materials.floor]
+albedo = [0.2, 0.5, 0.7]
+[[quads]]
+corner = [-5, 0, -5]
+edge1 = [0, 0, 10]
+edge2 = [10, 0, 0]
+material = "floor"
+[[lights]]
+corner = [-1, 2, -1]
+edge1 = [2, 0, 0]
+edge2 = [0, 0, 2]
+radiance = 5
+"""
+GLOSSY = (
+    MATTE.replace("[[quads]]", "reflectance = 0.2\nroughness = 0.3\n[[quads]]")
+    + """
+[[lights]]
+corner = [2, 1, 0]
+edge1 = [0, 1, 0]
+edge2 = [0, 0, 1]
+radiance = [3, 2, 1]
+"""
+)
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CLANG is None, reason="clang is not installed")]
+
+
+def render_everything(device: Device, folder: Path) -> None:
+    """Renders that between them build every program of a render."""
+    cases = [
+        (MATTE, DirectLight()),
+        (GLOSSY, DirectLight()),
+        (MATTE, AmbientOcclusion(mapping="height")),
+        (MATTE, AmbientOcclusion(mapping="cosine")),
+    ]
+    for (text, integrand), sampler in zip(cases, itertools.cycle(SAMPLERS)):
+        scene = folder / "scene.toml"
+        scene.write_text(text, encoding="utf-8")
+        render(scene, integrand, "ncv", sampler, spp=2, train_spp=1, size=(4, 4), device=device)
+
+
+def integrate_everything(device: Device) -> None:
+    """Integrals by each method in each precision, with one hidden layer and with two."""
+    cases = [
+        ("decoupled", "float32", (2, 3, 1)),
+        ("decoupled", "float64", (2, 3, 3, 1)),
+        ("full", "float32", (2, 3, 3, 1)),
+        ("full", "float64", (2, 3, 1)),
+    ]
+    generator = np.random.default_rng(0)
+    for method, precision, widths in cases:
+        if precision == "float64" and not device.has_float64:
+            continue
+        weights = [generator.normal(size=(n_out, n_in)) for n_in, n_out in itertools.pairwise(widths)]
+        biases = [generator.normal(size=n_out) for n_out in widths[1:]]
+        with pytest.MonkeyPatch.context() as patch:
+            # No area is that exact: the robust program is built as well, and fails as well.
+            patch.setitem(AREA_TOLERANCE, precision, -1.0)
+            with pytest.raises(FloatingPointError):
+                integrate(weights, biases, method=method, precision=precision, device=device)
+
+
+@pytest.fixture(scope="module")
+def programs(one_device, tmp_path_factory):
+    """(files, defines) of every program, in each shape of device."""
+    with pytest.MonkeyPatch.context() as patch:
+        built = {}
+        patch.setattr(program, "_programs", built)
+        for vec, lanes in itertools.product((1, 16), (1, GPU_LANES)):
+            device = open_device(one_device.cl_device, one_device.index, vec, lanes)
+            render_everything(device, tmp_path_factory.mktemp("scene"))
+            integrate_everything(device)
+        return [(one.files, one.defines) for one in built.values()]
+
+
+def diagnostics(files: tuple[str, ...], defines: dict[str, int | str]) -> str:
+    command = [CLANG, *FLAGS, *WARNINGS, *program.option_list(defines), "-"]
+    done = subprocess.run(command, input=program.source(files), capture_output=True, text=True)
+    return f"{' + '.join(files)} with {defines}\n{done.stderr}" if done.returncode else ""
+
+
+def test_the_programs_cover_every_kernel_file_and_shape(programs):
+    assert {name for files, _ in programs for name in files} == {
+        kernel.stem for kernel in program.kernel_folder().glob("*.cl")
+    }
+    assert len({(defines["VEC"], defines["LANES"]) for _, defines in programs}) == 4
+
+
+@pytest.mark.parametrize("use_fma", [0, 1])
+def test_clang_has_nothing_to_say(programs, use_fma):
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = pool.map(lambda one: diagnostics(one[0], {**one[1], "USE_FMA": use_fma}), programs)
+        complaints = "\n".join(filter(None, found))
+    assert not complaints, complaints
+
+
+def test_clang_lane_notices_a_warning(monkeypatch):
+    monkeypatch.setattr(program, "source", lambda files: "kernel void f(global float *x) { *x = 0.1; }")
+    assert "double" in diagnostics(("none",), {})

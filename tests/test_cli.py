@@ -1,0 +1,167 @@
+"""The command line: what it writes, what it refuses, and how it stops."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ncv_cl
+from ncv_cl import Image
+from ncv_cl.cli import main
+
+TINY = ["--size", "8x6", "--spp", "4", "--train-spp", "2"]
+
+
+@pytest.fixture
+def cli(scenes, one_device, tmp_path, monkeypatch, capsys):
+    """Render a shipped scene in an empty folder; returns (exit status, stdout, stderr)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str, scene: str = "cornell_box", device: str | None = None):
+        device = str(one_device.index) if device is None else device
+        file = str(scenes / f"{scene}.toml")
+        try:
+            status = main(["render", file, *TINY, "--device", device, *arguments])
+        except SystemExit as stopped:
+            status = stopped.code
+        return status, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+def test_render_writes_images_and_statistics(cli, one_device, method):
+    outputs = ["-o", "a.exr", "-o", "a.png", "--json", "a.json"]
+    status, out, _ = cli("--method", method, "--seed", "5", *outputs)
+    assert status == 0
+    image = Image.read("a.exr")
+    assert image.pixels.shape == (6, 8, 3) and image.pixels.any()
+    assert {"albedo", "N", "depth"} <= set(image.layers)
+    assert ({"G", "residual"} <= set(image.layers)) == (method == "ncv")
+    assert image.metadata["seed"] == 5 and image.metadata["scene"] == "cornell_box"
+    assert Path("a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+    stats = json.loads(Path("a.json").read_text())
+    seconds = stats["seconds"]
+    stages = {"points", "sample", "trace", "estimate", "resolve", "total"}
+    assert set(seconds) >= stages | ({"train", "fold", "integrate"} if method == "ncv" else set())
+    assert sum(seconds.values()) - seconds["total"] <= seconds["total"]
+    # Training draws 16 samples at some of the points: to within one of these, 2 a point.
+    expected = (4 + 2 * (method == "ncv")) * stats["points"]
+    assert abs(stats["samples_per_point"] * stats["points"] - expected) <= 16
+    drawn = stats["rays_traced"] + stats["rays_skipped"]
+    assert (
+        drawn == pytest.approx(stats["points"] * stats["samples_per_point"]) and stats["rays_traced"] > 0
+    )
+    assert stats["points"] + stats["points_skipped"] == 48
+    assert stats["device"] == one_device.identity
+    assert "mse" not in stats
+    assert all(stage in out for stage in stages) and "a.exr" in out
+
+
+def test_a_reference_adds_errors(cli):
+    assert cli("-o", "reference.exr", "--method", "mc", "--spp", "64")[0] == 0
+    status, out, _ = cli("-o", "a.exr", "--reference", "reference.exr", "--json", "a.json")
+    assert status == 0
+    stats = json.loads(Path("a.json").read_text())
+    truth = Image.read("reference.exr").pixels.astype(np.float64)
+    squared = (Image.read("a.exr").pixels - truth) ** 2
+    assert stats["mse"] == pytest.approx(squared.mean()) and stats["mse"] > 0
+    assert stats["relmse"] == pytest.approx(
+        (squared / (truth**2 + 0.01 * truth.mean() ** 2)).mean(), rel=1e-6
+    )
+    assert "relMSE" in out
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["-o", "a.tif"], r"a\.tif.*\.exr"),
+        (["-o", "no/such/a.exr"], "folder"),
+        (["-o", "a.exr", "--json", "no/such/a.json"], "folder"),
+        (["-o", "a.exr", "--size", "8"], "WIDTHxHEIGHT"),
+        (["-o", "a.exr", "--size", "0x8"], r"size.*at least 1"),
+        (["-o", "a.exr", "--spp", "0"], "spp.*at least 1"),
+        (["-o", "a.exr", "--train-spp", "0"], "train_spp.*positive"),
+        (["-o", "a.exr", "--supersample", "0"], "supersample.*at least 1"),
+        (["-o", "a.exr", "--seed", "-1"], "seed"),
+        (["-o", "a.exr", "--threads", "-1"], "threads"),
+        (["-o", "a.exr", "--integrand", "ao", "--radius", "0"], "radius"),
+        (["-o", "a.exr", "--integrand", "fog"], "invalid choice: 'fog'"),
+        (["-o", "a.exr", "--device", "99"], "no device 99"),
+        (["-o", "a.exr", "--device", "abacus"], "no device matches 'abacus'"),
+        (["-o", "a.exr", "--reference", "none.exr"], r"none\.exr"),
+        ([], "required.*-o"),
+    ],
+)
+def test_bad_arguments_are_refused_in_a_line(cli, arguments, said):
+    status, out, err = cli(*arguments)
+    assert status == 2 and not out
+    *_, last = [line for line in err.splitlines() if "error:" in line]
+    assert re.search(said, last), err
+    assert "Traceback" not in err and not list(Path().glob("**/a.*"))
+
+
+def test_a_missing_scene_is_refused(cli):
+    status, _, err = cli("-o", "a.exr", scene="no_such_scene")
+    assert status == 2 and "no_such_scene.toml" in err and len(err.splitlines()) == 1
+
+
+def test_a_reference_of_another_size_is_refused(cli):
+    assert cli("-o", "reference.exr", "--size", "4x4", "--method", "mc")[0] == 0
+    status, _, err = cli("-o", "a.exr", "--reference", "reference.exr")
+    assert status == 2 and "4x4" in err and "8x6" in err and len(err.splitlines()) == 1
+
+
+def command(*arguments: str) -> dict:
+    """Arguments for subprocess: `ncv-cl` with pipes instead of a terminal."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(ncv_cl.__file__).parent.parent)}
+    return {
+        "args": [sys.executable, "-m", "ncv_cl.cli", *arguments],
+        "env": environment,
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "text": True,
+    }
+
+
+def test_pipes_get_no_progress_bar(scenes, one_device, tmp_path):
+    scene, device = str(scenes / "cornell_box.toml"), str(one_device.index)
+    target = ["-o", str(tmp_path / "a.exr")]
+    done = subprocess.run(**command("render", scene, *TINY, "--device", device, *target))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == "" and "\r" not in done.stdout
+
+
+def test_interrupt_leaves_the_image_of_the_passes_done(scenes, one_device, tmp_path):
+    scene, device = str(scenes / "cornell_box.toml"), str(one_device.index)
+    files = ["-o", str(tmp_path / "a.exr"), "--json", str(tmp_path / "a.json")]
+    many = ["--size", "64x64", "--method", "mc", "--spp", str(1 << 24), "--device", device]
+    started = time.perf_counter()
+    with subprocess.Popen(**command("render", scene, *many, *files)) as process:
+        # Long enough to be rendering, and far from the end.
+        time.sleep(8)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert time.perf_counter() - started < 60 and "stopped early" in out
+    samples = json.loads((tmp_path / "a.json").read_text())["samples_per_point"]
+    image = Image.read(tmp_path / "a.exr")
+    assert 0 < samples < 1 << 24 and image.metadata["spp"] == samples
+    assert np.isfinite(image.pixels).all() and image.pixels.any() and image.variance.any()
+
+
+def test_version_and_help_name_the_commands(capsys):
+    for option, expected in {"--version": "ncv_cl ", "--help": "render"}.items():
+        with pytest.raises(SystemExit) as stopped:
+            main([option])
+        assert stopped.value.code == 0 and expected in capsys.readouterr().out

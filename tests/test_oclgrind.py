@@ -1,0 +1,81 @@
+"""Renders under oclgrind: no bad access, data race, divergent barrier or uninitialised read."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ncv_cl
+from ncv_cl.device import GPU_LANES
+from ncv_cl.integrands import INTEGRANDS
+from ncv_cl.render import METHODS
+from ncv_cl.sampler import SAMPLERS
+
+OCLGRIND = shutil.which("oclgrind")
+PROGRAM = Path(__file__).with_name("oclgrind_run.py")
+# Without optimisation, as oclgrind 21.10 knows neither llvm.bitreverse nor how to follow sincos.
+BUILD_OPTIONS = "-cl-opt-disable -Dsincos(x,cosine)=(*(cosine)=cos(x),sin(x))"
+CHECKS = ["--data-races", "--uninitialized", "--local-mem-size", "49152"]
+# (VEC, LANES) of a CPU and of a GPU; with float16 oclgrind reports initialised values as uninitialised.
+SHAPES = [(8, 1), (1, GPU_LANES)]
+
+pytestmark = [
+    pytest.mark.oclgrind,
+    pytest.mark.slow,
+    pytest.mark.skipif(OCLGRIND is None, reason="oclgrind is not installed"),
+]
+
+
+def simulate(log: Path, *command: str | Path) -> str:
+    """Run Python under oclgrind; returns what the simulator found fault with."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(ncv_cl.__file__).parent.parent),
+        # Neither pyopencl's cached binaries nor the package's cached probe.
+        "PYOPENCL_NO_CACHE": "1",
+        "XDG_CACHE_HOME": str(log.parent),
+    }
+    environment.pop("OCL_ICD_VENDORS", None)
+    done = subprocess.run(
+        [OCLGRIND, "--log", log, "--build-options", BUILD_OPTIONS, *CHECKS, sys.executable, *command],
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Oclgrind" in done.stdout, f"another device was used: {done.stdout}"
+    # oclgrind exits with 0 whatever it finds; the log is what tells.
+    return log.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize(
+    "integrand, method, sampler", list(itertools.product(sorted(INTEGRANDS), METHODS, SAMPLERS))
+)
+def test_simulator_finds_no_fault_in_a_render(integrand, method, sampler, vec, lanes, scenes, tmp_path):
+    scene = scenes / "cornell_box.toml"
+    faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, method, sampler, str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+def test_simulator_finds_faults(tmp_path):
+    program = tmp_path / "faulty.py"
+    program.write_text(
+        "import pyopencl as cl\n"
+        "context = cl.create_some_context(interactive=False)\n"
+        "print(context.devices[0].name)\n"
+        "text = 'kernel void f(global int *x)'\n"
+        "text += '{ x[get_global_id(0) + 1] = 2; x[0] = get_global_id(0); }'\n"
+        "buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, 16)\n"
+        "queue = cl.CommandQueue(context)\n"
+        "cl.Kernel(cl.Program(context, text).build(), 'f')(queue, (4,), (4,), buffer)\n"
+        "queue.finish()\n"
+    )
+    faults = simulate(tmp_path / "log", program)
+    assert "Invalid write" in faults and "data race" in faults
