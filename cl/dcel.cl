@@ -19,8 +19,8 @@
  *
  * Work-group contract: LANES work-items share one Dcel. `add_lines` is called by all of them and holds
  * barriers under uniform conditions; functions named leader_* are for lane 0 alone, between barriers.
- * Between two barriers stands one call, or one under `if (lane == 0)` alone: PoCL 3 miscompiles loops and
- * compound conditions that stand beside a barrier inside a loop.
+ * Between two barriers stands one call, or one under `if (lane == 0)` alone: PoCL 3 miscompiles compound
+ * conditions there.
  */
 
 #define OUTSIDE 0xffff
@@ -178,7 +178,8 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
 /* crossing[j] = whether line j has corners of the cell on both sides, VEC lines at a time. */
 void mark_crossing_lines(SPACE const Dcel *d, SPACE const Lines *lines, SPACE int *crossing,
                          const int count, const int lane) {
-  for (int j = lane * VEC; j < count; j += LANES * VEC) {
+  const int padded = (count + LANES * VEC - 1) / (LANES * VEC) * (LANES * VEC);
+  for (int j = lane * VEC; j < padded; j += LANES * VEC) {
     const numbers a = LOAD(lines->a + j);
     const numbers b = LOAD(lines->b + j);
     const numbers c = LOAD(lines->c + j);

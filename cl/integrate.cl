@@ -6,7 +6,7 @@
  * hidden layers; in a face of the last one every last-layer neuron is affine and keeps its sign, and its
  * integral follows from the face's area and first moments. Otherwise (decoupled) the last hidden layer is
  * never cut: its neurons are affine on the triangles of the arrangement before, where the integral of
- * relu(z) has a closed form in the values at the three vertices (design: `triangle_integral`).
+ * relu(z) has a closed form in the values at the three vertices (triangle_integral).
  * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
  *
  * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2), and
@@ -21,7 +21,7 @@
  * that VEC neurons are one load.
  *
  * Work-group contract: LANES work-items own one point at a time. Groups are persistent: the leader pops a
- * run of points from `queue`, all read it after a barrier, and all leave on the same condition; no group
+ * run of points from the queue (counters[0]), all read it after a barrier, and all leave on the same condition; no group
  * ever waits for another. Barriers stand only under conditions that are uniform in the group.
  */
 
@@ -70,12 +70,11 @@ void next_lines(SPACE Workspace *work, __global const Tables *tables, const int 
   SPACE const Lines *lines = &work->lines[k];
   SPACE Lines *next = &work->lines[k + 1];
   const int inputs = WIDTH[k + 1];
-  const int outputs = WIDTH[k + 2];
   const int stride = STRIDE[k + 1];
   __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[k + 1];
   const number mean_x = work->mean_x;
   const number mean_y = work->mean_y;
-  for (int j = lane * VEC; j < outputs; j += LANES * VEC) {
+  for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     numbers a = 0;
     numbers b = 0;
     numbers c = LOAD(tables->scaled_bias + BIAS_OFFSET[k + 1] + j);
@@ -135,23 +134,20 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
 
 #if WRITE_MOMENTS
 /* M with its powers of two put back. */
-void write_moments(__global Tables *tables, __global number *moments, const int lane) {
-  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC)
+void unscale_moments(__global Tables *tables, const int lane) {
+  for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
     STORE(times_power_of_two(LOAD(tables->moment + j),
                              LOAD(tables->exponent + BIAS_OFFSET[HIDDEN - 1] + j)),
           tables->moment_error + j);
-  BARRIER();
-  for (int j = lane; j < WIDTH[HIDDEN]; j += LANES) moments[j] = tables->moment_error[j];
 }
 #endif
 
 #endif
 
 /* G = b + W M for all channels, through the scaled output layer. */
-void write_outputs(__global Tables *tables, __global number *G, const int lane) {
-  const int channels = WIDTH[HIDDEN + 1];
+void compute_outputs(__global Tables *tables, const int lane) {
   __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN];
-  for (int j = lane * VEC; j < channels; j += LANES * VEC) {
+  for (int j = lane * VEC; j < OUTPUT_STRIDE; j += LANES * VEC) {
     numbers sum = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN] + j);
     for (int i = 0; i < WIDTH[HIDDEN]; ++i) {
 #if HIDDEN > 0
@@ -163,8 +159,10 @@ void write_outputs(__global Tables *tables, __global number *G, const int lane) 
     }
     STORE(times_power_of_two(sum, LOAD(tables->exponent + BIAS_OFFSET[HIDDEN] + j)), tables->output + j);
   }
-  BARRIER();
-  for (int j = lane; j < channels; j += LANES) G[j] = tables->output[j];
+}
+
+void copy_numbers(__global number *to, __global const number *from, const int count, const int lane) {
+  for (int j = lane; j < count; j += LANES) to[j] = from[j];
 }
 
 /* Whether the point's result can be trusted. */
@@ -252,9 +250,13 @@ void integrate(const int begin, const int end, const int run, __global int *coun
 #if HIDDEN > 0
       integrate_network(work, tables, lane);
 #endif
-      write_outputs(tables, G + p * (size_t)WIDTH[HIDDEN + 1], lane);
+      compute_outputs(tables, lane);
+      BARRIER();
+      copy_numbers(G + p * BIAS_SIZE(HIDDEN), tables->output, WIDTH[HIDDEN + 1], lane);
 #if WRITE_MOMENTS
-      write_moments(tables, moments + p * (size_t)WIDTH[HIDDEN], lane);
+      unscale_moments(tables, lane);
+      BARRIER();
+      copy_numbers(moments + p * BIAS_SIZE(HIDDEN - 1), tables->moment_error, WIDTH[HIDDEN], lane);
 #endif
       if (lane == 0) {
 #if HIDDEN > 0

@@ -55,15 +55,17 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
 void vertex_values(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   SPACE const Dcel *d = &work->arrangement[0];
   SPACE const Lines *lines = &work->lines[0];
-  for (int j = lane * VEC; j < WIDTH[1]; j += LANES * VEC)
+  for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
     for (int v = 0; v < d->vertices; ++v)
       STORE(FMA(LOAD(lines->a + j), (numbers)d->x[v],
                 FMA(LOAD(lines->b + j), (numbers)d->y[v], LOAD(lines->c + j))),
             tables->value + v * MOMENT_STRIDE + j);
-  BARRIER();
 }
 
 #else
+
+/* Vertices that share each load of the matrix: independent sums hide the latency of FMA. */
+#define VERTEX_BLOCK (TILE < 8 ? TILE : 8)
 
 /* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. */
 void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
@@ -81,28 +83,22 @@ void tile_activations(SPACE const Workspace *work, __global Tables *tables, cons
 /* The last hidden layer's neurons at these vertices, before activation, neurons across lanes. */
 void tile_values(__global Tables *tables, const int tile, const int vertices, const int lane) {
   const int rows = LESSER(TILE, vertices - tile);
-  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC) {
+  for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
     __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN - 1] + j;
     const numbers bias = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN - 1] + j);
-    /* Four vertices share each load of the matrix; a tile is a multiple of four. */
-    for (int v = 0; v < rows; v += 4) {
-      numbers z0 = bias;
-      numbers z1 = bias;
-      numbers z2 = bias;
-      numbers z3 = bias;
+    for (int v = 0; v < rows; v += VERTEX_BLOCK) {
+      numbers z[VERTEX_BLOCK];
+#pragma unroll
+      for (int q = 0; q < VERTEX_BLOCK; ++q) z[q] = bias;
       for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
         const numbers weight = LOAD(matrix + i * MOMENT_STRIDE);
         __global const number *h = tables->activation + i * TILE + v;
-        z0 = FMA(weight, (numbers)h[0], z0);
-        z1 = FMA(weight, (numbers)h[1], z1);
-        z2 = FMA(weight, (numbers)h[2], z2);
-        z3 = FMA(weight, (numbers)h[3], z3);
+#pragma unroll
+        for (int q = 0; q < VERTEX_BLOCK; ++q) z[q] = FMA(weight, (numbers)h[q], z[q]);
       }
-      __global number *value = tables->value + (tile + v) * MOMENT_STRIDE + j;
-      STORE(z0, value);
-      STORE(z1, value + MOMENT_STRIDE);
-      STORE(z2, value + 2 * MOMENT_STRIDE);
-      STORE(z3, value + 3 * MOMENT_STRIDE);
+#pragma unroll
+      for (int q = 0; q < VERTEX_BLOCK; ++q)
+        STORE(z[q], tables->value + (tile + v + q) * MOMENT_STRIDE + j);
     }
   }
 }
@@ -152,7 +148,7 @@ numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2) 
 
 /* Adds the triangles to the moments, neurons across lanes. */
 void add_triangles(__global Tables *tables, const int triangles, const int lane) {
-  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC) {
+  for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
     __global const number *value = tables->value + j;
     numbers moment = LOAD(tables->moment + j);
     numbers error = LOAD(tables->moment_error + j);
@@ -178,6 +174,7 @@ void integrate_cell(SPACE Workspace *work, __global Tables *tables, const int la
   if (lane == 0) leader_list_triangles(work, tables);
   BARRIER();
   vertex_values(work, tables, lane);
+  BARRIER();
   add_triangles(tables, work->listed, lane);
   BARRIER();
 }

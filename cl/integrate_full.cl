@@ -55,7 +55,7 @@ void leader_list_faces(SPACE Workspace *work, __global Tables *tables) {
 void add_faces(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   SPACE const Lines *lines = &work->lines[HIDDEN - 1];
   const int faces = work->listed;
-  for (int j = lane * VEC; j < WIDTH[HIDDEN]; j += LANES * VEC) {
+  for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
     const numbers a = LOAD(lines->a + j);
     const numbers b = LOAD(lines->b + j);
     const numbers c = LOAD(lines->c + j);

@@ -12,11 +12,13 @@
  * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the sizes of
  * the arrays below.
  *
- * Work-group contract: all functions are called by all lanes and hold no barriers.
+ * Work-group contract: all functions are called by all lanes and hold no barriers. Loops over neurons run to the
+ * padded end, so that all lanes take the same number of turns: PoCL 3 miscompiles an inner loop inside an outer one
+ * whose number of turns depends on the lane.
  */
 
 #define LAST_ARRANGEMENT (ARRANGEMENTS - 1)
-/* Vertices whose first activations are held at a time: a multiple of four. */
+/* Vertices whose activations are held at a time. */
 #define TILE (VEC * LANES < 4 ? 4 : VEC * LANES)
 
 /* A face of the last arrangement: area, first moments, mean of its corners. */
@@ -88,8 +90,8 @@ void load_weights(__global Tables *tables, const int k, __global const number *w
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
   __global number *matrix = tables->matrix + MATRIX_OFFSET[k];
-  for (int j = lane; j < WIDTH[k + 1]; j += LANES)
-    for (int i = 0; i < inputs; ++i) matrix[i * stride + j] = weights[j * inputs + i];
+  for (int i = 0; i < inputs; ++i)
+    for (int j = lane; j < WIDTH[k + 1]; j += LANES) matrix[i * stride + j] = weights[j * inputs + i];
 }
 
 /* Copies the biases of layer k. */
@@ -101,12 +103,11 @@ void load_biases(__global Tables *tables, const int k, __global const number *bi
  * */
 void scale_layer(__global Tables *tables, const int k, const int lane) {
   const int inputs = WIDTH[k];
-  const int outputs = WIDTH[k + 1];
   const int stride = STRIDE[k];
   __global const number *matrix = tables->matrix + MATRIX_OFFSET[k];
   __global number *scaled = tables->scaled_matrix + MATRIX_OFFSET[k];
   __global const exponent_bits *before = tables->exponent + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
-  for (int j = lane * VEC; j < outputs; j += LANES * VEC) {
+  for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     const numbers bias = LOAD(tables->bias + BIAS_OFFSET[k] + j);
     exponents largest = exponent_of(bias);
     for (int i = 0; i < inputs; ++i) {
@@ -123,7 +124,7 @@ void scale_layer(__global Tables *tables, const int k, const int lane) {
 
 /* The first layer's neurons are lines in the unit square. */
 void first_lines(SPACE Lines *lines, __global const Tables *tables, const int lane) {
-  for (int j = lane * VEC; j < WIDTH[1]; j += LANES * VEC) {
+  for (int j = lane * VEC; j < STRIDE[0]; j += LANES * VEC) {
     STORE(LOAD(tables->scaled_matrix + j), lines->a + j);
     STORE(LOAD(tables->scaled_matrix + STRIDE[0] + j), lines->b + j);
     STORE(LOAD(tables->scaled_bias + j), lines->c + j);

@@ -14,6 +14,7 @@ from .integrate import integrate
 from .network import Network, NetworkError
 from .render import render
 from .scene import Scene, SceneError, load_scene
+from .subdivide import Subdivision, draw_subdivision, subdivide
 
 __all__ = [
     "AmbientOcclusion",
@@ -27,9 +28,12 @@ __all__ = [
     "NetworkError",
     "Scene",
     "SceneError",
+    "Subdivision",
     "choose_device",
     "devices",
+    "draw_subdivision",
     "integrate",
     "load_scene",
     "render",
+    "subdivide",
 ]

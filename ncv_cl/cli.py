@@ -11,15 +11,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
+
 from .choose import devices
 from .device import DeviceError
 from .image import check_output_path, read_reference
 from .integrands import INTEGRANDS, AmbientOcclusion, Integrand
 from .integrands.ao import MAPPINGS
+from .integrate import integrate
+from .integrator import METHODS as INTEGRATION_METHODS
+from .integrator import PRECISIONS
 from .presets import PRESETS
 from .render import METHODS, package_version, render
 from .sampler import SAMPLERS
 from .scene import load_scene
+from .subdivide import draw_subdivision, subdivide
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,6 +45,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ncv_cl {package_version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
+    _add_subdivide(commands)
+    _add_integrate(commands)
     listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they infer")
     listing.set_defaults(command=_devices)
     return parser
@@ -87,6 +95,73 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--json", metavar="FILE", help="write the statistics here")
     add("--reference", metavar="FILE", help="image to measure the error against")
     parser.set_defaults(command=_render)
+
+
+_LAYERS_HELP = "arrays weights0, biases0, weights1, ... of a ReLU network of (u, v) (.npz)"
+
+
+def _add_subdivide(commands: argparse._SubParsersAction) -> None:
+    parser = commands.add_parser("subdivide", help="draw the cells in which a network is affine")
+    parser.add_argument("network", help=_LAYERS_HELP)
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".png or .svg")
+    parser.add_argument("--channel", type=int, default=0, metavar="C", help="output to colour by")
+    parser.add_argument("--device", metavar="D", help="as for render")
+    parser.set_defaults(command=_subdivide)
+
+
+def _add_integrate(commands: argparse._SubParsersAction) -> None:
+    parser = commands.add_parser("integrate", help="integrate a network over the unit square")
+    parser.add_argument("network", help=_LAYERS_HELP + "; any with a leading points axis")
+    parser.add_argument("-o", "--output", metavar="FILE", help="write the integrals here (.npy)")
+    parser.add_argument("--method", choices=INTEGRATION_METHODS, default="decoupled")
+    parser.add_argument("--precision", choices=tuple(PRECISIONS), default="float32")
+    parser.add_argument("--device", metavar="D", help="as for render")
+    parser.set_defaults(command=_integrate)
+
+
+def _read_layers(path: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Weights and biases from an ``.npz``."""
+    try:
+        with np.load(path) as file:
+            layers = sum(name.startswith("weights") for name in file.files)
+            weights = [file[f"weights{k}"] for k in range(layers)]
+            biases = [file[f"biases{k}"] for k in range(layers)]
+    except (OSError, ValueError, KeyError, AttributeError, EOFError) as error:
+        raise ValueError(f"{path} does not hold {_LAYERS_HELP}: {error}") from error
+    if not layers:
+        raise ValueError(f"{path} does not hold {_LAYERS_HELP}: there is no weights0")
+    return weights, biases
+
+
+def _subdivide(options: argparse.Namespace) -> int:
+    subdivision = subdivide(*_read_layers(options.network), device=options.device)
+    draw_subdivision(subdivision, options.output, channel=options.channel)
+    print(f"{len(subdivision.faces)} faces, integral {subdivision.integral().tolist()}")
+    print(f"wrote {options.output}")
+    return 0
+
+
+def _integrate(options: argparse.Namespace) -> int:
+    integrals, statistics = integrate(
+        *_read_layers(options.network),
+        method=options.method,
+        precision=options.precision,
+        device=options.device,
+        return_stats=True,
+    )
+    if options.output:
+        # An open file, since numpy adds a suffix to names that have another one.
+        with open(options.output, "wb") as file:
+            np.save(file, integrals)
+        print(f"wrote {options.output}")
+    else:
+        print("\n".join(" ".join(map(repr, map(float, row))) for row in integrals))
+    print(
+        f"{statistics.points} points, {statistics.faces} faces, {statistics.robust_points} done again "
+        "on the robust path",
+        file=sys.stderr,
+    )
+    return 0
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -144,10 +219,10 @@ def _render(options: argparse.Namespace) -> int:
         options.sampler,
         options.spp,
         options.train_spp,
-        options.preset,
         options.size,
         options.supersample,
         options.seed,
+        options.preset,
         options.device,
         options.threads,
         reference,

@@ -21,7 +21,7 @@ from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .integrate import Integrator
+from .integrator import Integrator
 from .network import FoldedNetwork, Network
 from .points import find_points
 from .presets import PRESETS, Preset
@@ -68,10 +68,10 @@ class RenderSettings:
     sampler: str
     spp: int
     train_spp: float | str
-    preset: str
     size: tuple[int, int]
     supersample: int
     seed: int
+    preset: str
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -102,10 +102,10 @@ def render(
     sampler: str = "sobol",
     spp: int = 256,
     train_spp: float | str = "auto",
-    preset: str = "default",
     size: tuple[int, int] = (512, 512),
     supersample: int = 1,
     seed: int = 0,
+    preset: str = "default",
     device: Device | int | str | None = None,
     threads: int | None = None,
     reference: np.ndarray | None = None,
@@ -130,14 +130,14 @@ def render(
         Training samples a shading point ("ncv"), on average: few samples a point are drawn as more of
         them at fewer points. "auto" draws about a million in all, at most `spp` / 4 a point. Their own
         estimate is combined with the residual's.
-    preset : {"default", "slides"}
-        The network and its schedule: what measured best, or the slides' own.
     size : (int, int)
         Width and height, pixels.
     supersample : int
         k makes k × k shading points a pixel, averaged by a box filter.
     seed : int
         From 0 to 2**64 − 1. Same seed, device and scene: the same image, bit for bit.
+    preset : {"default", "slides"}
+        The network and its schedule: what measured best, or the slides' own.
     device : Device, int or str, optional
         As `choose_device` takes it.
     threads : int, optional
@@ -168,7 +168,7 @@ def render(
             raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
         integrand = INTEGRANDS[integrand]()
     settings = RenderSettings(
-        integrand, method, sampler, spp, train_spp, preset, size, supersample, seed
+        integrand, method, sampler, spp, train_spp, size, supersample, seed, preset
     )
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)

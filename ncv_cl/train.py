@@ -260,10 +260,17 @@ class Trainer:
         rows = description.head_rows + description.base_rows
         hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
         floats_a_column = features + feature_stride + 2 * rows + hidden + 1
-        budget = (CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES) // 4
+        available = device.cl_device.local_mem_size
+        budget = min(CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES, available)
         self._tile = vec
-        while 2 * self._tile * floats_a_column <= budget and self._tile < MAX_TILE:
+        while 8 * self._tile * floats_a_column <= budget and self._tile < MAX_TILE:
             self._tile *= 2
+        if 4 * self._tile * floats_a_column > available:
+            raise MemoryError(
+                f"training hidden layers of {description.hidden} needs "
+                f"{4 * self._tile * floats_a_column} bytes of local memory, but {device.name} has "
+                f"{available}: use a narrower network or fewer modulated groups"
+            )
         # Whole vectors, with room for the loss.
         padded = -(-(description.parameter_count + 1) // vec) * vec
         self._padding = padded - description.parameter_count

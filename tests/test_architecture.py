@@ -18,7 +18,7 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PA
 KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
-    "device image scene_data scene_geometry scene_table",
+    "arrangement device image scene_data scene_geometry scene_table",
     "program scene",
     "sampler trace",
     "points",
@@ -27,8 +27,9 @@ ORDER = (
     "network",
     "probe",
     "choose",
-    "train integrate estimate",
-    "presets resolve subdivide",
+    "train integrator estimate",
+    "integrate presets resolve",
+    "subdivide",
     "render",
     "cli __init__",
 )
@@ -36,7 +37,8 @@ RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
     "train": {"presets", "render"},
-    "integrate": {"render", "subdivide", "__init__"},
+    "integrator": {"cli", "integrate", "subdivide", "render"},
+    "integrate": {"cli", "subdivide", "__init__"},
     "estimate": {"render", "resolve"},
     "resolve": {"render"},
     "render": {"cli", "__init__"},
@@ -45,7 +47,7 @@ USERS = {
 # A floating-point literal without an f.
 DOUBLE = re.compile(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?![\w.])")
 # Drivers whose kernel file bears another name than theirs.
-OTHER_KERNEL = {"network": "mlp", "probe": "mlp"}
+OTHER_KERNEL = {"integrator": "integrate", "network": "mlp", "probe": "mlp"}
 
 
 def imports(module: str) -> set[str]:

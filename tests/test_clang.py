@@ -14,7 +14,7 @@ import pytest
 
 from ncv_cl import AmbientOcclusion, DirectLight, integrate, program, render
 from ncv_cl.device import GPU_LANES, Device, open_device
-from ncv_cl.integrate import AREA_TOLERANCE
+from ncv_cl.integrator import AREA_TOLERANCE
 from ncv_cl.sampler import SAMPLERS
 
 CLANG = shutil.which("clang")

@@ -165,3 +165,40 @@ def test_version_and_help_name_the_commands(capsys):
         with pytest.raises(SystemExit) as stopped:
             main([option])
         assert stopped.value.code == 0 and expected in capsys.readouterr().out
+
+
+@pytest.fixture
+def layers(tmp_path):
+    """A network file: relu(u - 0.5) and relu(v) in two outputs, integrals 1/8 and 1/2."""
+    path = tmp_path / "layers.npz"
+    np.savez(
+        path,
+        weights0=np.eye(2),
+        biases0=np.array([-0.5, 0.0]),
+        weights1=np.eye(2),
+        biases1=np.zeros(2),
+    )
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_subdivide_draws_a_network(layers, one_device, suffix, capsys):
+    picture = layers.with_suffix(suffix)
+    device = ["--device", str(one_device.index)]
+    assert main(["subdivide", str(layers), "-o", str(picture), *device]) == 0
+    assert "2 faces" in capsys.readouterr().out and picture.stat().st_size > 200
+
+
+def test_integrate_prints_or_writes_integrals(layers, one_device, capsys):
+    command = ["integrate", str(layers), "--device", str(one_device.index)]
+    assert main(command) == 0
+    assert [float(x) for x in capsys.readouterr().out.split()] == pytest.approx([0.125, 0.5])
+    assert main([*command, "-o", str(layers.with_suffix(".npy"))]) == 0
+    np.testing.assert_allclose(np.load(layers.with_suffix(".npy")), [[0.125, 0.5]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("content", [{}, {"weights0": np.eye(2)}, {"weights0": 1, "biases0": 1}])
+def test_files_without_layers_are_refused_by_name(tmp_path, content, capsys):
+    np.savez(tmp_path / "other.npz", **content)
+    assert main(["integrate", str(tmp_path / "other.npz")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -9,7 +9,7 @@ import pytest
 from ncv_cl.device import HostArray
 from ncv_cl.encode import Encoder, Encoding, GridCube, varying_inputs
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.integrate import Integrator
+from ncv_cl.integrator import Integrator
 from ncv_cl.network import GROUPS, FoldedNetwork, Network, NetworkDescription, NetworkError
 from ncv_cl.points import find_points
 from ncv_cl.scene import load_scene

@@ -200,9 +200,7 @@ POLYGON = '[[polygons]]\nmaterial = "grey"\nvertices = '
         ),
     ],
 )
-def test_bad_input_names_file_key_and_index(
-    tmp_path: Path, text: str, place: str, reason: str
-) -> None:
+def test_bad_input_names_file_key_and_index(tmp_path: Path, text: str, place: str, reason: str) -> None:
     with pytest.raises(SceneError) as caught:
         load_text(tmp_path, text)
     assert str(caught.value).startswith(f"{tmp_path / 'x.toml'}: {place}: ")
@@ -233,9 +231,7 @@ def test_bad_mesh_files_are_named(tmp_path: Path, content: str, reason: str) -> 
 def test_degenerate_triangles_are_dropped_with_a_warning(tmp_path: Path) -> None:
     content = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 3 0 0\nv 9 9 9\nf 1 2 3\nf 1 2 4\nf 1 1 3\n"
     (tmp_path / "thin.obj").write_text(content)
-    with pytest.warns(
-        UserWarning, match=r"meshes\[0\]\.file: thin\.obj: dropped 2 degenerate of 3"
-    ):
+    with pytest.warns(UserWarning, match=r"meshes\[0\]\.file: thin\.obj: dropped 2 degenerate of 3"):
         scene = load_mesh(tmp_path, "thin.obj")
     assert len(scene.warnings) == 1
     assert scene.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
@@ -302,14 +298,10 @@ def test_mesh_formats_keep_the_surface(tmp_path: Path, name: str) -> None:
 
 
 def test_obj_materials_come_from_the_mtl(tmp_path: Path) -> None:
-    material = SimpleMaterial(
-        diffuse=[0.2, 0.4, 0.6], specular=[0.05] * 3, glossiness=30.0, name="blue"
-    )
+    material = SimpleMaterial(diffuse=[0.2, 0.4, 0.6], specular=[0.05] * 3, glossiness=30.0, name="blue")
     visual = trimesh.visual.TextureVisuals(uv=np.zeros((4, 2)), material=material)
     export(tmp_path, "t.obj", visual=visual)
-    (tmp_path / "material.mtl").write_text(
-        "newmtl blue\nKd 0.123 0.4 0.6\nKs 0.05 0.05 0.05\nNs 30"
-    )
+    (tmp_path / "material.mtl").write_text("newmtl blue\nKd 0.123 0.4 0.6\nKs 0.05 0.05 0.05\nNs 30")
     scene = load_mesh(tmp_path, "t.obj", "")
     found = scene.materials[scene.triangle_material[0]]
     assert found.name == "t.obj:blue"

@@ -1,0 +1,93 @@
+"""Residual variance against training seconds, for both presets over the shipped scenes.
+
+Residual: variance of f − g over variance of f, independent samples, mean over points, fresh samples.
+Seconds are one run each on the device named; compare them within this run only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from training import CASES, TrainingCase
+
+from ncv_cl.choose import choose_device
+from ncv_cl.presets import PRESETS
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small images and few samples")
+    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--plot", metavar="FILE", help="write a plot here (needs matplotlib)")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args()
+    device = choose_device(options.device)
+    size, budgets = (32, (4, 16)) if options.quick else (96, (4, 16, 64))
+    print(f"{device.identity}\n{size} x {size} points")
+    rows = []
+    for scene, integrand in CASES:
+        case = TrainingCase(device, scene, integrand, size)
+        for name, samples, passes in runs(budgets, options.quick):
+            preset = PRESETS[name]
+            preset = replace(preset, settings=replace(preset.settings, passes=passes))
+            # The first run compiles the kernels.
+            case.run(preset, min(budgets))
+            outcome = case.run(preset, samples)
+            rows.append(
+                {
+                    "scene": scene,
+                    "integrand": integrand,
+                    "preset": name,
+                    "samples": samples,
+                    "passes": passes,
+                    **asdict(outcome),
+                }
+            )
+            print(
+                f"{scene:12} {integrand:7} {name:8} {samples:4} samples x {passes} passes: residual "
+                f"{outcome.residual:.4f} after {outcome.seconds:.3f} s "
+                f"({outcome.nanoseconds_a_sample:.0f} ns a sample)",
+                flush=True,
+            )
+    if options.json:
+        report = {"device": device.identity, "size": size, "runs": rows}
+        Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    if options.plot:
+        plot(rows, device.identity, options.plot)
+
+
+def runs(budgets: tuple[int, ...], quick: bool) -> list[tuple[str, int, int]]:
+    """(preset, samples a point, passes): the slides' preset uses each sample once."""
+    slides = [("slides", samples, 1) for samples in budgets]
+    passes = (1, 4) if quick else (1, 2, 4, 8)
+    return slides + [("default", samples, n) for samples in budgets for n in passes]
+
+
+def plot(rows: list[dict], device: str, path: str) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, len(CASES), figsize=(4 * len(CASES), 4), sharey=True)
+    for axis, (scene, integrand) in zip(axes, CASES, strict=True):
+        for name, marker in (("slides", "s"), ("default", "o")):
+            chosen = [
+                r for r in rows if (r["scene"], r["integrand"], r["preset"]) == (scene, integrand, name)
+            ]
+            seconds, residuals = [r["seconds"] for r in chosen], [r["residual"] for r in chosen]
+            axis.plot(seconds, residuals, marker, label=name)
+        axis.set(title=f"{scene} {integrand}", xlabel="training seconds", xscale="log", yscale="log")
+        axis.grid(True, which="both", alpha=0.3)
+    axes[0].set_ylabel("residual variance / plain variance")
+    axes[0].legend()
+    figure.suptitle(device, fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()
