@@ -101,6 +101,9 @@ kernel void fold(const uint count, const uint stride, const uint first_point, co
                  global const float *restrict features, global const float *restrict parameters,
                  global const float *restrict factor, global float *restrict w1, global float *restrict b1,
                  global float *restrict b2, global float *restrict w3, global float *restrict b3) {
+  /* Arguments of groups that phi does not act on go unused. */
+  (void)factor_stride, (void)features, (void)parameters, (void)factor, (void)stride, (void)first_point;
+  (void)w1, (void)b1, (void)b2, (void)w3, (void)b3;
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
 #if STRIDE_W1

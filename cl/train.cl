@@ -220,7 +220,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
 
       real delta_feature[GRID_ROWS];
       heads_backward(parameters, delta_theta + t, delta_feature);
-      for (int f = 0; f < GRID_ROWS; ++f) {
+      for (uint f = 0; f < GRID_ROWS; ++f) {
         float columns[VEC];
         STORE(delta_feature[f] * per_sample, columns);
         for (uint k = 0; k < VEC && column + k < end; ++k)

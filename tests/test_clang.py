@@ -15,7 +15,9 @@ import pytest
 from ncv_cl import AmbientOcclusion, DirectLight, integrate, program, render
 from ncv_cl.device import GPU_LANES, Device, open_device
 from ncv_cl.integrator import AREA_TOLERANCE
+from ncv_cl.presets import PRESETS
 from ncv_cl.sampler import SAMPLERS
+from ncv_cl.subdivide import subdivide
 
 CLANG = shutil.which("clang")
 FLAGS = ["-x", "cl", "-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-fsyntax-only"]
@@ -62,10 +64,21 @@ def render_everything(device: Device, folder: Path) -> None:
         (MATTE, AmbientOcclusion(mapping="height")),
         (MATTE, AmbientOcclusion(mapping="cosine")),
     ]
-    for (text, integrand), sampler in zip(cases, itertools.cycle(SAMPLERS)):
+    options = zip(itertools.cycle(SAMPLERS), itertools.cycle(sorted(PRESETS)), strict=True)
+    for (text, integrand), (sampler, preset) in zip(cases, options, strict=False):
         scene = folder / "scene.toml"
         scene.write_text(text, encoding="utf-8")
-        render(scene, integrand, "ncv", sampler, spp=2, train_spp=1, size=(4, 4), device=device)
+        render(
+            scene,
+            integrand,
+            "ncv",
+            sampler,
+            spp=2,
+            train_spp=1,
+            size=(4, 4),
+            preset=preset,
+            device=device,
+        )
 
 
 def integrate_everything(device: Device) -> None:
@@ -82,6 +95,8 @@ def integrate_everything(device: Device) -> None:
             continue
         weights = [generator.normal(size=(n_out, n_in)) for n_in, n_out in itertools.pairwise(widths)]
         biases = [generator.normal(size=n_out) for n_out in widths[1:]]
+        if method == "full":
+            subdivide(weights, biases, precision=precision, device=device)
         with pytest.MonkeyPatch.context() as patch:
             # No area is that exact: the robust program is built as well, and fails as well.
             patch.setitem(AREA_TOLERANCE, precision, -1.0)
