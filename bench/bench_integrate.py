@@ -274,18 +274,83 @@ def scaling_table(device: Device, quick: bool) -> list[dict]:
     return rows
 
 
-def plot(results: dict[str, list[tuple[str, int, float, float]]], path: Path) -> None:
-    """Error against time; needs matplotlib (the `bench` extra)."""
+def edge_subdivision_table(device: Device, folder: Path, quick: bool) -> list[dict]:
+    """The public edge-subdivision tool (Berzins 2023) on single networks, next to ours.
+
+    It cuts by the output's zero set as well, so its cells are compared by the cell. `folder` holds the
+    user's clone of arturs-berzins/relu_edge_subdivision; needs PyTorch.
+    """
+    sys.path.insert(0, str(folder))
     try:
+        import torch
+        from edge_subdivision import skeletal_subdivision
+        from NN import Net
+    except ImportError as error:
+        raise SystemExit(f"--edge-subdivision {folder}: {error}") from None
+    rows = []
+    print(
+        f"\n{'one network':16}{'its cells':>10}{'its us a cell':>15}{'our faces':>11}"
+        f"{'full':>8}{'decoupled':>11}   (us a face)"
+    )
+    for width in (16, 32):
+        weights, biases = trained_points((2, width, width, 1), 256)
+        theirs = Net([2, width, width, 1])
+        with torch.no_grad():
+            for layer, weight, bias in zip(theirs.fcs, weights, biases, strict=True):
+                layer.weight.copy_(torch.from_numpy(weight))
+                layer.bias.copy_(torch.from_numpy(bias[0] if bias.ndim == 2 else bias))
+
+        def run(network: object = theirs) -> tuple:
+            with torch.no_grad():
+                return skeletal_subdivision(
+                    network, bbox=(0, 1), device=torch.device("cpu"), verbose=False
+                )
+
+        vertices, edges = run()[:2]
+        # Euler's formula for a planar subdivision of a square, without the outer face.
+        cells = len(edges) - len(vertices) + 1
+        seconds = median_seconds(run, 2 if quick else 5)
+        case = Case(device, (weights, biases))
+        full, statistics = case.seconds("full", 3)
+        decoupled, _ = case.seconds("decoupled", 3)
+        faces = statistics.faces / case.points
+        row = {
+            "networks": f"trained {width}x{width}",
+            "cells": cells,
+            "us_a_cell": seconds / cells * 1e6,
+            "faces": faces,
+            "full_us_a_face": full / statistics.faces * 1e6,
+            "decoupled_us_a_face": decoupled / statistics.faces * 1e6,
+        }
+        rows.append(row)
+        print("{:16}{:10d}{:15.1f}{:11.1f}{:8.3f}{:11.3f}".format(*row.values()), flush=True)
+    return rows
+
+
+def plot(
+    results: dict[str, list[tuple[str, int, float, float]]], scaling: list[dict], path: Path
+) -> None:
+    """Error against time, and cost against width, depth and points; needs matplotlib."""
+    try:
+        import matplotlib
+
+        matplotlib.use("Agg")
         from matplotlib import pyplot
     except ImportError:
         raise SystemExit("--plot needs matplotlib: pip install 'ncv_cl[bench]'") from None
-    figure, axes = pyplot.subplots(1, len(results), figsize=(5 * len(results), 4), squeeze=False)
+    figure, axes = pyplot.subplots(2, 3, figsize=(15, 8))
     for axis, (name, rows) in zip(axes[0], results.items(), strict=True):
         for rule in dict.fromkeys(row[0] for row in rows):
             errors, times = np.array([row[2:] for row in rows if row[0] == rule]).T
             axis.loglog(times, errors, marker="o", label=rule)
         axis.set(title=name, xlabel="µs a point", ylabel="relative error")
+        axis.legend()
+    for axis, kind in zip(axes[1], ("width", "depth", "points"), strict=True):
+        chosen = [row for row in scaling if row["case"].startswith(kind)]
+        numbers = [int(row["case"].split()[1]) for row in chosen]
+        for method in METHODS:
+            axis.loglog(numbers, [row[method][0] for row in chosen], marker="o", label=method)
+        axis.set(xlabel=kind, ylabel="µs a point")
         axis.legend()
     figure.tight_layout()
     figure.savefig(path)
@@ -297,6 +362,9 @@ def main() -> None:
     parser.add_argument("--device", help="index or name, as in `ncv-cl devices`")
     parser.add_argument("--json", type=Path, help="write all numbers to this file")
     parser.add_argument("--plot", type=Path, help="draw error against time (needs matplotlib)")
+    parser.add_argument(
+        "--edge-subdivision", type=Path, metavar="PATH", help="a clone of relu_edge_subdivision"
+    )
     options = parser.parse_args()
     device = choose_device(options.device)
     print(device.describe())
@@ -307,10 +375,14 @@ def main() -> None:
         "quadrature": quadrature_table(device, options.quick),
         "scaling": scaling_table(device, options.quick),
     }
+    if options.edge_subdivision:
+        results["edge_subdivision"] = edge_subdivision_table(
+            device, options.edge_subdivision, options.quick
+        )
     if options.json:
         options.json.write_text(json.dumps(results, indent=1), encoding="utf-8")
     if options.plot:
-        plot(results["quadrature"], options.plot)
+        plot(results["quadrature"], results["scaling"], options.plot)
 
 
 if __name__ == "__main__":
