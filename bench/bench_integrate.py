@@ -81,14 +81,23 @@ def stress_table(device: Device) -> list[dict]:
 
 
 def networks(
-    widths: tuple[int, ...], points: int, flags: tuple[tuple[bool, ...], tuple[bool, ...]], seed: int
+    widths: tuple[int, ...],
+    points: int,
+    flags: tuple[tuple[bool, ...], tuple[bool, ...]],
+    seed: int,
+    every_line_cuts: bool = True,
 ) -> Network:
-    """He networks whose first-layer lines all pass through the square."""
+    """He networks; the first layer's lines all pass through the square, or fall as PyTorch's biases do."""
     weights, biases = random_network(widths, points, seed)
     weights = [w if keep else w[0] for w, keep in zip(weights, flags[0], strict=True)]
     biases = [b if keep else b[0] for b, keep in zip(biases, flags[1], strict=True)]
-    through = np.random.default_rng(seed).uniform(size=(points, widths[1], 2))
-    biases[0] = -(weights[0] * through).sum(-1).astype(np.float32)
+    generator = np.random.default_rng(seed)
+    shape = (points, widths[1])
+    if every_line_cuts:
+        through = generator.uniform(size=(*shape, 2))
+        biases[0] = -(weights[0] * through).sum(-1).astype(np.float32)
+    else:
+        biases[0] = generator.uniform(-(0.5**0.5), 0.5**0.5, shape).astype(np.float32)
     return weights, biases
 
 
@@ -159,9 +168,11 @@ def speed_table(device: Device, quick: bool) -> list[dict]:
     """Cost of both methods a point and a face, next to inference on the same networks."""
     scale = 10 if quick else 1
     cases = {
-        "8x16 per-point weights": networks((2, 8, 16, 3), 100000 // scale, MODULATED, 1),
-        "16x16 per-point weights": networks((2, 16, 16, 3), 100000 // scale, MODULATED, 2),
-        "32x32 per-point first bias": networks((2, 32, 32, 3), 20000 // scale, FIRST_BIAS, 3),
+        "8x16 He": networks((2, 8, 16, 3), 100000 // scale, MODULATED, 1, False),
+        "16x16 He": networks((2, 16, 16, 3), 100000 // scale, MODULATED, 2, False),
+        "8x16 He, all lines cut": networks((2, 8, 16, 3), 100000 // scale, MODULATED, 1),
+        "16x16 He, all lines cut": networks((2, 16, 16, 3), 100000 // scale, MODULATED, 2),
+        "32x32 He, per-point bias 1": networks((2, 32, 32, 3), 20000 // scale, FIRST_BIAS, 3),
         "32x32 trained": trained_points((2, 32, 32, 3), 20000 // scale),
         "16x16 trained": trained_points((2, 16, 16, 3), 20000 // scale),
     }

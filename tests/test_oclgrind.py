@@ -14,6 +14,7 @@ import pytest
 import ncv_cl
 from ncv_cl.device import GPU_LANES
 from ncv_cl.integrands import INTEGRANDS
+from ncv_cl.integrator import METHODS as INTEGRATION_METHODS
 from ncv_cl.render import METHODS
 from ncv_cl.sampler import SAMPLERS
 
@@ -61,6 +62,15 @@ def simulate(log: Path, *command: str | Path) -> str:
 def test_simulator_finds_no_fault_in_a_render(integrand, method, sampler, vec, lanes, scenes, tmp_path):
     scene = scenes / "cornell_box.toml"
     faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, method, sampler, str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("hidden", ["5x4", "3x3x3"])
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
+def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, tmp_path):
+    program = PROGRAM.with_name("oclgrind_integrate.py")
+    faults = simulate(tmp_path / "log", program, method, hidden, str(vec), str(lanes))
     assert not faults, faults[:5000]
 
 
