@@ -87,7 +87,7 @@ def networks(
     seed: int,
     every_line_cuts: bool = True,
 ) -> Network:
-    """He networks; the first layer's lines all pass through the square, or fall as PyTorch's biases do."""
+    """He networks whose first-layer lines all cut the square, or fall as PyTorch's biases let them."""
     weights, biases = random_network(widths, points, seed)
     weights = [w if keep else w[0] for w, keep in zip(weights, flags[0], strict=True)]
     biases = [b if keep else b[0] for b, keep in zip(biases, flags[1], strict=True)]

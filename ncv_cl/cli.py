@@ -22,9 +22,10 @@ from .integrate import integrate
 from .integrator import METHODS as INTEGRATION_METHODS
 from .integrator import PRECISIONS
 from .presets import PRESETS
-from .render import METHODS, package_version, render
+from .render import package_version, render
 from .sampler import SAMPLERS
 from .scene import load_scene
+from .settings import METHODS
 from .subdivide import draw_subdivision, subdivide
 
 

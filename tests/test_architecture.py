@@ -29,7 +29,7 @@ ORDER = (
     "choose",
     "train integrator estimate",
     "integrate presets resolve",
-    "subdivide",
+    "settings subdivide",
     "render",
     "cli __init__",
 )

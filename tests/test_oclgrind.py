@@ -15,8 +15,8 @@ import ncv_cl
 from ncv_cl.device import GPU_LANES
 from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.integrator import METHODS as INTEGRATION_METHODS
-from ncv_cl.render import METHODS
 from ncv_cl.sampler import SAMPLERS
+from ncv_cl.settings import METHODS
 
 OCLGRIND = shutil.which("oclgrind")
 PROGRAM = Path(__file__).with_name("oclgrind_run.py")

@@ -21,8 +21,8 @@ import pytest
 from scipy import stats
 
 from ncv_cl import AmbientOcclusion, DirectLight, render
-from ncv_cl.render import METHODS
 from ncv_cl.sampler import SAMPLERS
+from ncv_cl.settings import METHODS
 
 SCENES = ("cornell_box", "knot", "occluders", "plane_light")
 INTEGRANDS = {
