@@ -73,6 +73,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         help="training samples a shading point on average, may be fractional",
     )
     add("--preset", choices=PRESETS, default="default", help="network and training schedule")
+    add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
+    add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
     add("--supersample", type=int, default=1, metavar="K", help="K x K shading points a pixel")
     add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
@@ -205,7 +207,7 @@ class _StopOnInterrupt:
 
 def _render(options: argparse.Namespace) -> int:
     # What can be refused is refused before the work, not after it.
-    for path in (*options.output, *([options.json] if options.json else [])):
+    for path in filter(None, (*options.output, options.json, options.save_network)):
         if not Path(path).resolve().parent.is_dir():
             raise ValueError(f"{path}: the folder does not exist; make it first")
     for path in options.output:
@@ -224,6 +226,8 @@ def _render(options: argparse.Namespace) -> int:
         options.supersample,
         options.seed,
         options.preset,
+        options.network,
+        options.save_network,
         options.device,
         options.threads,
         reference,

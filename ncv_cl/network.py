@@ -166,6 +166,23 @@ class Network:
         table = generator.uniform(-1e-4, 1e-4, description.encoding.table_shape).astype(np.float32)
         return cls(description, parameters, table, cube)
 
+    def check_fits(self, channels: int, inputs: tuple[str, ...]) -> None:
+        """Refuse other channels or inputs than the ones a scene and integrand have.
+
+        Raises
+        ------
+        NetworkError
+            Naming what differs.
+        """
+        own = self.description
+        if own.channels != channels:
+            raise NetworkError(f"the network has {own.channels} channels, the integrand {channels}")
+        if own.encoding.inputs != inputs:
+            raise NetworkError(
+                f"the network takes {', '.join(own.encoding.inputs)}, but what varies in this scene is "
+                f"{', '.join(inputs)}: train it on this scene and integrand"
+            )
+
     def save(self, path: str | Path) -> None:
         """Write an ``.npz`` with the numbers and, as JSON, the description."""
         text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})

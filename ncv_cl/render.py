@@ -19,7 +19,7 @@ from .estimate import Estimate, Estimator
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
 from .integrator import Integrator
-from .network import FoldedNetwork, Network
+from .network import FoldedNetwork, Network, NetworkDescription
 from .points import find_points
 from .presets import PRESETS, Preset
 from .resolve import resolve_image
@@ -51,6 +51,8 @@ def render(
     supersample: int = 1,
     seed: int = 0,
     preset: str = "default",
+    network: Network | str | Path | None = None,
+    save_network: str | Path | None = None,
     device: Device | int | str | None = None,
     threads: int | None = None,
     reference: np.ndarray | None = None,
@@ -83,6 +85,10 @@ def render(
         From 0 to 2**64 − 1. Same seed, device and scene: the same image, bit for bit.
     preset : {"default", "slides"}
         The network and its schedule: what measured best, or the slides' own.
+    network : Network, str or Path, optional
+        A trained network, or its file, to use instead of training one ("ncv").
+    save_network : str or Path, optional
+        Where to write the trained network, ``.npz``.
     device : Device, int or str, optional
         As `choose_device` takes it.
     threads : int, optional
@@ -101,7 +107,8 @@ def render(
     Raises
     ------
     ValueError
-        For bad arguments (`SceneError` for scenes, `IntegrandError` for integrands).
+        For bad arguments (`SceneError` for scenes, `IntegrandError` for integrands, `NetworkError` for
+        networks that do not fit).
     DeviceError
         If there is no such OpenCL device.
     """
@@ -117,9 +124,10 @@ def render(
     )
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)
-    return _Rendering(scene, settings, choose_device(device), threads, progress, stop).run(
-        reference, started
-    )
+    if network is not None and not isinstance(network, Network):
+        network = Network.load(network)
+    rendering = _Rendering(scene, settings, choose_device(device), threads, progress, stop)
+    return rendering.run(network, save_network, reference, started)
 
 
 class _Rendering:
@@ -162,12 +170,27 @@ class _Rendering:
             max(RESIDUAL_PASS, TRAINING_PASS),
         )
 
-    def run(self, reference: np.ndarray | None, started: float) -> Image:
+    def run(
+        self,
+        network: Network | None,
+        save_network: str | Path | None,
+        reference: np.ndarray | None,
+        started: float,
+    ) -> Image:
         settings, points = self.settings, self.points
         training = folded = integral = None
         if settings.method == "ncv" and points.active:
-            training, folded = self._train()
-            if folded is not None:
+            inputs = varying_inputs(points, settings.integrand.inputs)
+            if network is None:
+                training, network = self._train(inputs)
+            else:
+                network.check_fits(settings.integrand.channels, inputs)
+            if network is not None:
+                if save_network is not None:
+                    network.save(save_network)
+                with self.watch("fold"):
+                    factor = self._factor(network.description)
+                    folded = FoldedNetwork(self.device, network, points, factor)
                 integral = self._integrate(folded)
         estimator = Estimator(self.device, points, settings.integrand.channels, folded)
         if points.active:
@@ -182,14 +205,17 @@ class _Rendering:
         self._describe(image, plain, training, residual, folded, reference, started)
         return image
 
-    def _train(self) -> tuple[Estimate, FoldedNetwork | None]:
+    def _factor(self, description: NetworkDescription) -> HostArray | None:
+        """What a demodulated network's output is multiplied by at each point."""
+        return self.source.unshadowed_means() if description.demodulated else None
+
+    def _train(self, inputs: tuple[str, ...]) -> tuple[Estimate, Network | None]:
         """Draw training samples and fit a network; without one where training fails twice."""
-        settings, points = self.settings, self.points
+        settings = self.settings
         preset = PRESETS[settings.preset]
         with self.watch("train"):
-            inputs = varying_inputs(points, settings.integrand.inputs)
             description = preset.description(settings.integrand, inputs)
-            factor = self.source.unshadowed_means() if description.demodulated else None
+            factor = self._factor(description)
             start = Network.random(description, GridCube.around(self.scene.bounds), settings.seed)
             chosen, samples = self._plan_training(preset)
         for slower in (1.0, 0.1):
@@ -199,8 +225,7 @@ class _Rendering:
             )
             estimate, network = self._fit(start, schedule, chosen, samples, factor)
             if network is not None:
-                with self.watch("fold"):
-                    return estimate, FoldedNetwork(self.device, network, points, factor)
+                return estimate, network
         warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=4)
         return estimate, None
 

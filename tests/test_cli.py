@@ -202,3 +202,34 @@ def test_files_without_layers_are_refused_by_name(tmp_path, content, capsys):
     np.savez(tmp_path / "other.npz", **content)
     assert main(["integrate", str(tmp_path / "other.npz")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_saved_network_renders_again_without_training(cli):
+    assert cli("-o", "a.exr", "--save-network", "network.npz")[0] == 0
+    status, _, _ = cli("-o", "b.exr", "--network", "network.npz", "--json", "b.json")
+    assert status == 0
+    stats = json.loads(Path("b.json").read_text())
+    assert "train" not in stats["seconds"] and stats["samples_per_point"] == 4
+    # The same control variate, but for the training samples' own estimate.
+    first, second = Image.read("a.exr"), Image.read("b.exr")
+    assert np.array_equal(first.layers["G"], second.layers["G"])
+    assert np.array_equal(first.layers["residual"], second.layers["residual"])
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--integrand", "ao"], "channels"),
+        (["--network", "none.npz"], r"none\.npz"),
+    ],
+)
+def test_a_network_that_does_not_fit_is_refused(cli, arguments, said):
+    assert cli("-o", "first.exr", "--save-network", "network.npz")[0] == 0
+    status, _, err = cli("-o", "a.exr", "--network", "network.npz", *arguments)
+    assert status == 2 and re.search(said, err) and not Path("a.exr").exists()
+
+
+def test_a_network_of_other_inputs_is_refused(cli):
+    assert cli("-o", "first.exr", "--save-network", "network.npz")[0] == 0
+    status, _, err = cli("-o", "a.exr", "--network", "network.npz", scene="plane_light")
+    assert status == 2 and "position, normal, albedo" in err and not Path("a.exr").exists()
