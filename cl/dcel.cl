@@ -80,11 +80,15 @@ void leader_begin_unit_square(SPACE Dcel *d) {
   leader_begin_cell(d, 4);
 }
 
-/* A vertex where the current line crosses the edge between two vertices on different sides. */
+/* A vertex where the current line crosses the edge between two vertices on different sides. It is reached
+ * from the end that is nearer to the line: the step is then at most half the edge, and a vertex close to
+ * one end keeps its relative distance from it. */
 void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const int to) {
-  const number t = d->side[from] / (d->side[from] - d->side[to]);
-  d->x[vertex] = FMA(t, d->x[to] - d->x[from], d->x[from]);
-  d->y[vertex] = FMA(t, d->y[to] - d->y[from], d->y[from]);
+  const int near = fabs(d->side[from]) <= fabs(d->side[to]) ? from : to;
+  const int far = near == from ? to : from;
+  const number t = d->side[near] / (d->side[near] - d->side[far]);
+  d->x[vertex] = FMA(t, d->x[far] - d->x[near], d->x[near]);
+  d->y[vertex] = FMA(t, d->y[far] - d->y[near], d->y[near]);
   d->side[vertex] = 0;
 }
 

@@ -22,15 +22,16 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
     const number y0 = d->y[apex];
     edge = d->edge[edge.next];
     int v1 = edge.origin;
-    number x1 = d->x[v1] - x0;
-    number y1 = d->y[v1] - y0;
+    number x1 = d->x[v1];
+    number y1 = d->y[v1];
     number absolute = 0;
     while (edge.next != first) {
       edge = d->edge[edge.next];
       const int v2 = edge.origin;
-      const number x2 = d->x[v2] - x0;
-      const number y2 = d->y[v2] - y0;
-      const number doubled = cross_product(x1, y1, x2, y2);
+      const number x2 = d->x[v2];
+      const number y2 = d->y[v2];
+      /* From the side that does not touch the apex: a short side far from the apex keeps its digits. */
+      const number doubled = cross_product(x2 - x1, y2 - y1, x0 - x1, y0 - y1);
       __global Triangle *triangle = &tables->triangle[triangles++];
       triangle->third_area = doubled * ((number)1 / (number)6);
       triangle->vertex[0] = (ushort)apex;
@@ -67,16 +68,31 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 /* Vertices that share each load of the matrix: independent sums hide the latency of FMA. */
 #define VERTEX_BLOCK (TILE < 8 ? TILE : 8)
 
-/* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. */
+/* What a x + b y + c can be off by at a vertex that lies on the line: its own rounding and the vertex's. */
+#if DOUBLE
+#define LINE_ROUNDING (2 * DBL_EPSILON)
+#else
+#define LINE_ROUNDING (2 * FLT_EPSILON)
+#endif
+
+/* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. A neuron is
+ * exactly 0 on its own line: what rounding leaves there would be carried by the next layer's weights into
+ * faces in which the neuron is off. */
 void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];
   for (int v = lane * VEC; v < TILE; v += LANES * VEC) {
     const numbers x = LOAD(d->x + tile + v);
     const numbers y = LOAD(d->y + tile + v);
-    for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i)
-      STORE(activate(FMA((numbers)lines->a[i], x, FMA((numbers)lines->b[i], y, (numbers)lines->c[i]))),
+    for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
+      const numbers a = lines->a[i];
+      const numbers b = lines->b[i];
+      const numbers c = lines->c[i];
+      const numbers z = FMA(a, x, FMA(b, y, c));
+      const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));
+      STORE(activate(fabs(z) <= (number)LINE_ROUNDING * terms ? (numbers)0 : z),
             tables->activation + i * TILE + v);
+    }
   }
 }
 
@@ -122,25 +138,29 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
  * With values sorted low <= middle <= high, the integral of relu over the area / 3 is
  *   low >= 0           low + middle + high
  *   high <= 0          0
- *   middle <= 0 < high high r,                      r = high^2 / ((high - middle) (high - low))
- *   low < 0 < middle   low + middle + high - low r, r = low^2 / ((low - middle) (low - high))
- * In both mixed cases one vertex, the apex, is alone on its side. Setting the apex to 0 where it is not makes
- * the four cases one. Each r is at most 1. TINY keeps 0 / 0 and underflow out: r is then at most 1 too. */
+ *   middle <= 0 < high high * high / (high - middle) * high / (high - low)
+ *   low < 0 < middle   (middle + high) * high / (high - low)
+ *                      + middle * middle / (middle - low) * -low / (high - low)
+ * The last is the sum of all less the negative corner, low + middle + high - low^3 / ((middle - low) (high - low)),
+ * multiplied out: so all terms are positive and all ratios at most 1, and nothing cancels, however much the
+ * negative value outweighs the others. TINY keeps 0 / 0 and overflow out. */
 numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2) {
   const numbers lesser = LESSER(z0, z1);
   const numbers greater = GREATER(z0, z1);
   const numbers low = LESSER(lesser, z2);
-  const numbers high = GREATER(greater, z2);
-  const numbers below_high = LESSER(greater, z2);
-  const numbers middle = GREATER(lesser, below_high);
-  const numbers sum = z0 + z1 + z2;
-  const numbers apex = middle > 0 ? LESSER(low, (numbers)0) : GREATER(high, (numbers)0);
-  const numbers opposite = middle > 0 ? high : low;
-  const numbers product = (apex - middle) * (apex - opposite);
-  const numbers share = apex * apex / GREATER(product, (numbers)TINY);
-  const numbers positive = FMA(fabs(apex), share, middle > 0 ? sum : (numbers)0);
+  const numbers high = GREATER(GREATER(greater, z2), (numbers)0);
+  const numbers middle = GREATER(lesser, LESSER(greater, z2));
+  const numbers below = LESSER(low, (numbers)0);
+  const numbers inverse = (number)1 / GREATER(high - below, (numbers)TINY);
+  const numbers share = high * inverse;
+  /* The positive value whose edge to the other side is cut, and the length of that edge. */
+  const numbers cut = middle > 0 ? middle : high;
+  const numbers edge = middle > 0 ? middle - below : high - middle;
+  const numbers part = cut * (cut / GREATER(edge, (numbers)TINY));
+  const numbers two_above = FMA(middle + high, share, FMA(part, -below * inverse, low - below));
+  const numbers positive = middle > 0 ? two_above : part * share;
 #if LEAKY
-  return FMA((numbers)(number)NEGATIVE_SLOPE, sum - positive, positive);
+  return FMA((numbers)(number)NEGATIVE_SLOPE, z0 + z1 + z2 - positive, positive);
 #else
   return positive;
 #endif

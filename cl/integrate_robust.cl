@@ -149,9 +149,12 @@ int robust_cut(__global Robust *r, int *height, const int k, const int i, const 
       r->stack_y[start + below++] = r->y[v];
     }
     if ((r->side[v] < 0) != (r->side[w] < 0)) {
-      const precise t = r->side[v] / (r->side[v] - r->side[w]);
-      const precise x = r->x[v] + t * (r->x[w] - r->x[v]);
-      const precise y = r->y[v] + t * (r->y[w] - r->y[v]);
+      /* From the end nearer to the line, as in dcel.cl. */
+      const int near = fabs(r->side[v]) <= fabs(r->side[w]) ? v : w;
+      const int far = near == v ? w : v;
+      const precise t = r->side[near] / (r->side[near] - r->side[far]);
+      const precise x = r->x[near] + t * (r->x[far] - r->x[near]);
+      const precise y = r->y[near] + t * (r->y[far] - r->y[near]);
       r->kept_x[above] = x;
       r->kept_y[above++] = y;
       r->stack_x[start + below] = x;
@@ -175,7 +178,7 @@ precise robust_relu_integral(const precise p, const precise q, const precise s) 
   if (z2 <= 0) return 0;
   if (z0 >= 0) return z0 + z1 + z2;
   if (z1 <= 0) return z2 * (z2 / (z2 - z1)) * (z2 / (z2 - z0));
-  return z0 + z1 + z2 - z0 * (z0 / (z1 - z0)) * (z0 / (z2 - z0));
+  return (z1 + z2) * (z2 / (z2 - z0)) + z1 * (z1 / (z1 - z0)) * (-z0 / (z2 - z0));
 }
 
 /* Adds the polygon in hand, in which the neurons of the last hidden layer are affine. */
