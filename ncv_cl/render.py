@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 import warnings
 from collections.abc import Callable
@@ -33,8 +34,7 @@ from .train import Trainer, TrainSettings
 # Samples a point drawn at a time; Ctrl-C and progress act between such passes.
 RESIDUAL_PASS = 32
 TRAINING_PASS = 16
-# Training samples in all where `train_spp` is "auto": what a network needs depends on the scene, not
-# on the number of pixels.
+# `train_spp` "auto": samples in all, since a network's need depends on the scene and not on pixels.
 AUTO_TRAINING_SAMPLES = 1 << 20
 # Training samples held at a time.
 TRAINING_SAMPLES_HELD = 1 << 23
@@ -207,7 +207,11 @@ class _Rendering:
 
     def _factor(self, description: NetworkDescription) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
-        return self.source.unshadowed_means() if description.demodulated else None
+        return self._unshadowed_means if description.demodulated else None
+
+    @functools.cached_property
+    def _unshadowed_means(self) -> HostArray:
+        return self.source.unshadowed_means()
 
     def _train(self, inputs: tuple[str, ...]) -> tuple[Estimate, Network | None]:
         """Draw training samples and fit a network; without one where training fails twice."""
