@@ -12,7 +12,8 @@
  * Work-group contract: one-dimensional, GROUP_POINTS * LANES work-items; local memory 3 floats a
  * work-item and a barrier after each step of the merge where LANES > 1, none of either where LANES is 1.
  * No work-item leaves early: those past the end repeat the last point and write nothing.
- * Batch point i is shading point order[first_point + i].
+ * Batch point i is shading point order[first_point + i]. With WEIGHTED each sample counts by its `weight`, one
+ * over the density that it was drawn with.
  */
 
 #define QUANTITIES (1 + WITH_NETWORK)
@@ -54,6 +55,9 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     const uint stride, const float previous_count, global const uint *restrict order,
     global const float *restrict value,
     global const uint *restrict slot, global const uchar *restrict visible,
+#if WEIGHTED
+    global const float *restrict weight,
+#endif
 #if WITH_NETWORK
     global const float *restrict u, global const float *restrict v, NETWORK_ARGUMENTS,
 #endif
@@ -86,6 +90,10 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     real g[CHANNELS];
     network_value(&network, LOAD(u + at), LOAD(v + at), g);
     for (int c = 0; c < CHANNELS; ++c) x[CHANNELS + c] = x[c] - g[c];
+#endif
+#if WEIGHTED
+    const real inverse_density = LOAD(weight + at);
+    for (int q = 0; q < QUANTITIES * CHANNELS; ++q) x[q] *= inverse_density;
 #endif
     for (int q = 0; q < QUANTITIES * CHANNELS; ++q) {
       if (count == 0.0f)

@@ -9,6 +9,9 @@
  * consecutive slots from `ray_count`; which slot a sample gets may differ between runs, but each sample
  * finds its own ray's answer through `slot`, so results do not.
  *
+ * With WARPED (warp.cl joined before) each point's samples follow its record in `density`, and `weight` takes one
+ * over the density at each sample, by which its value counts.
+ *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
  * VEC consecutive samples of one point.
  */
@@ -17,8 +20,11 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          const uint first_sample, const uint sample_count, const uint stride,
                          const uint stream, const uint seed_low, const uint seed_high,
                          global const uint *restrict order, global const float *restrict surface,
-                         global const float *restrict integrand_data, global float *restrict u,
-                         global float *restrict v, global float *restrict value,
+                         global const float *restrict integrand_data,
+#if WARPED
+                         global const float *restrict density, global float *restrict weight,
+#endif
+                         global float *restrict u, global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
                          global float *restrict directions, global float *restrict distances,
                          volatile global uint *restrict ray_count) {
@@ -37,6 +43,9 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   real sample_value[CHANNELS];
   real direction[3];
   sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
+#if WARPED
+  STORE(warp_square(density + (ulong)point * DENSITY_FLOATS, &sample_u, &sample_v), weight + at);
+#endif
   evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction, &distance);
   STORE(sample_u, u + at);
   STORE(sample_v, v + at);

@@ -22,10 +22,11 @@ from .integrate import integrate
 from .integrator import METHODS as INTEGRATION_METHODS
 from .integrator import PRECISIONS
 from .presets import PRESETS
-from .render import package_version, render
+from .render import render
+from .report import package_version
 from .sampler import SAMPLERS
 from .scene import load_scene
-from .settings import METHODS
+from .settings import ALLOCATIONS, DENSITIES, METHODS
 from .subdivide import draw_subdivision, subdivide
 
 
@@ -73,6 +74,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         help="training samples a shading point on average, may be fractional",
     )
     add("--preset", choices=PRESETS, default="default", help="network and training schedule")
+    add("--density", choices=DENSITIES, help="sampling of the residual (default: the preset's)")
+    add("--allocation", choices=ALLOCATIONS, help="samples over the image (default: the preset's)")
     add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
     add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
@@ -218,19 +221,21 @@ def _render(options: argparse.Namespace) -> int:
     image = render(
         load_scene(options.scene),
         _integrand(options),
-        options.method,
-        options.sampler,
-        options.spp,
-        options.train_spp,
-        options.size,
-        options.supersample,
-        options.seed,
-        options.preset,
-        options.network,
-        options.save_network,
-        options.device,
-        options.threads,
-        reference,
+        method=options.method,
+        sampler=options.sampler,
+        spp=options.spp,
+        train_spp=options.train_spp,
+        size=options.size,
+        supersample=options.supersample,
+        seed=options.seed,
+        preset=options.preset,
+        density=options.density,
+        allocation=options.allocation,
+        network=options.network,
+        save_network=options.save_network,
+        device=options.device,
+        threads=options.threads,
+        reference=reference,
         progress=True,
         stop=stop,
     )
@@ -251,7 +256,7 @@ def _summary(stats: dict) -> str:
     lines += [f"{stage:<10}{seconds:>9.3f} s" for stage, seconds in stats["seconds"].items()]
     lines += [
         f"{stats['points']} shading points ({stats['points_skipped']} skipped), "
-        f"{stats['samples_per_point']} samples each, "
+        f"{stats['samples_per_point']:.4g} samples each on average, "
         f"{stats['rays_traced']} rays traced ({stats['rays_skipped']} skipped)"
     ]
     if "residual_variance_ratio" in stats:

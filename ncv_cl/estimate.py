@@ -25,18 +25,24 @@ class Estimate:
         float64 (channels, points): the mean, and the variance of a single sample (unbiased).
     samples : ndarray
         float64 (points,), samples of each point.
+    calibrated : ndarray, optional
+        float64 (channels, points), the variance of `mean` where it is known better than from independent
+        samples (`calibrate`).
     """
 
     mean: np.ndarray
     variance: np.ndarray
     samples: np.ndarray
+    calibrated: np.ndarray | None = None
 
     @property
     def variance_of_mean(self) -> np.ndarray:
-        """Variance of `mean` were the samples independent; an upper bound under Sobol sampling.
+        """Variance of `mean`; where not calibrated, as if samples were independent (for Sobol a bound).
 
         Zero samples have no variance to speak of: zeros.
         """
+        if self.calibrated is not None:
+            return self.calibrated
         return self.variance / np.maximum(self.samples, 1)
 
 
@@ -64,7 +70,8 @@ class Estimator:
         self.points = points
         self.channels = channels
         self.network = network
-        self.samples = 0
+        self.samples = np.zeros(points.active)
+        self._samples_of_all = 0
         self._lanes = device.lanes
         self._group_points = max(1, GROUP_SIZE // device.lanes)
         defines = {
@@ -78,39 +85,52 @@ class Estimator:
         if network is not None:
             files = ("common", "batch", "mlp", "estimate")
             defines |= network.network.description.defines()
-        self._accumulate = build(device, files, defines).kernel("accumulate")
+        self._device, self._files, self._defines = device, files, defines
         self.quantities = 1 + (network is not None)
         rows = self.quantities * channels * STATE_FLOATS
         self._state = HostArray(device, (rows, points.active), np.float32)
         self._state.fill(0.0)
 
-    def add(self, batch: Batch) -> None:
-        """Add a batch. Its points must all have been given the same number of samples before."""
+    def add(self, batch: Batch, previous: int | None = None) -> None:
+        """Add a batch, whose points must all have been given `previous` samples before.
+
+        By default what all points have been given in the passes finished so far.
+        """
+        previous = self._samples_of_all if previous is None else previous
+        weighted = batch.weight is not None
+        program = build(self._device, self._files, {**self._defines, "WEIGHTED": int(weighted)})
         inputs = [batch.order, batch.value, batch.slot, batch.visible]
+        if weighted:
+            inputs.append(batch.weight)
         if self.network is not None:
             inputs += [batch.u, batch.v, *self.network.arrays]
-        self._accumulate(
+        program.kernel("accumulate")(
             len(batch.points) * self._lanes,
             batch.points.start,
             len(batch.points),
             self.points.active,
             batch.samples,
             batch.stride,
-            float(self.samples),
+            float(previous),
             *inputs,
             self._state,
             group=self._group_points * self._lanes,
         )
 
-    def finish_pass(self, samples: int) -> None:
-        """Say that each of the points has been given `samples` more."""
-        self.samples += samples
+    def finish_pass(self, samples: int | np.ndarray, chosen: np.ndarray | None = None) -> None:
+        """Say that each of the points has been given `samples` more.
+
+        Without `chosen` (indices, with one number each in `samples`) all have been given the same.
+        """
+        if chosen is None:
+            self.samples[self._chosen] += samples
+            self._samples_of_all += int(samples)
+        else:
+            self.samples[chosen] += samples
 
     def result(self, quantity: int = 0) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1)."""
         state = self._state.read().astype(np.float64)
         state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)[quantity]
-        variance = state[:, 2] / max(self.samples - 1, 1)
-        samples = np.zeros(self.points.active)
-        samples[self._chosen] = self.samples
-        return Estimate(state[:, 0] + state[:, 1], variance, samples)
+        variance = state[:, 2] / np.maximum(self.samples - 1, 1)
+        return Estimate(state[:, 0] + state[:, 1], variance, self.samples.copy())

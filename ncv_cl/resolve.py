@@ -10,29 +10,54 @@ from .integrands import Integrand
 from .points import ShadingPoints
 from .scene import Scene
 
+# Below this weight the training samples' estimate is left out: it could not be noticed.
+SMALLEST_SHARE = 0.01
 
-def combine(
-    plain: Estimate,
-    training: Estimate | None,
-    residual: Estimate | None,
-    integral: np.ndarray | None,
+
+def estimate_of(
+    plain: Estimate, residual: Estimate | None, integral: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each point's estimate and its variance, float64 (channels, points).
 
-    With a network, m training samples and n of the residual combine as on the slides' last page,
-    m / (m + n) <MC> + n / (m + n) (G + <f - g>); α = 1. The two parts are independent given the
-    network, and each is unbiased, so the sum is.
+    With a network the estimate is G + <f - g>, alpha = 1: unbiased for every network.
     """
     if residual is None or integral is None:
-        mean, variance = plain.mean, plain.variance_of_mean
-    else:
-        mean, variance = integral + residual.mean, residual.variance_of_mean
+        return plain.mean, plain.variance_of_mean
+    return integral + residual.mean, residual.variance_of_mean
+
+
+def combine(
+    mean: np.ndarray, variance: np.ndarray, training: Estimate | None, by_count: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add the training samples' own estimate to one of `mean` and `variance`, (channels, points).
+
+    Parameters
+    ----------
+    by_count : float, optional
+        Samples a point behind `mean`: the two are weighted by their numbers of samples, as on the
+        slides' last page, m / (m + n) <MC> + n / (m + n) (G + <f - g>), and the sum is unbiased. Without
+        it they are weighted by the inverse of their mean square errors over the image, where that of the
+        training samples is known by its difference from the other: one weight for the whole image, hence
+        consistent, and unbiased up to a term of order one over the number of points.
+    """
     if training is None:
         return mean, variance
-    share = training.samples / np.maximum(training.samples + plain.samples, 1)
+    sampled = training.samples > 0
+    expected = training.variance[:, sampled] / training.samples[sampled]
+    error = float(np.mean(variance[:, sampled]))
+    difference = float(np.mean((training.mean - mean)[:, sampled] ** 2))
+    own = max(difference - error, 0.0)
+    if by_count is None:
+        weight = error / (own + error) if own > 0 else 0.0
+        share = np.where(sampled, weight if weight >= SMALLEST_SHARE else 0.0, 0.0)
+    else:
+        share = training.samples / (training.samples + by_count)
+    # The samples are stratified: their error is what was seen, not what independent ones would have.
+    ratio = own / float(np.mean(expected)) if expected.any() else 0.0
+    training_variance = ratio * training.variance / np.maximum(training.samples, 1)
     return (
         share * training.mean + (1 - share) * mean,
-        share**2 * training.variance_of_mean + (1 - share) ** 2 * variance,
+        share**2 * training_variance + (1 - share) ** 2 * variance,
     )
 
 
@@ -67,6 +92,7 @@ def resolve_image(
     training: Estimate | None = None,
     residual: Estimate | None = None,
     integral: np.ndarray | None = None,
+    by_count: float | None = None,
 ) -> Image:
     """The image of the estimates, with its layers.
 
@@ -76,10 +102,12 @@ def resolve_image(
         Of f from the render's own samples, of f from the training samples, of f − g.
     integral : ndarray, optional
         float (channels, points.active), G of each active point.
+    by_count : float, optional
+        As `combine` takes it.
     """
     grid = PixelGrid(points, size, supersample)
     active, everything = slice(0, points.active), slice(0, points.total)
-    mean, variance = combine(plain, training, residual, integral)
+    mean, variance = combine(*estimate_of(plain, residual, integral), training, by_count)
     pixels = grid.average(mean, active) + np.zeros(3)
     # Errors of a pixel's points are independent: variances add with the square of the weight.
     pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)

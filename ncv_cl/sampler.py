@@ -19,6 +19,8 @@ class Stream(enum.IntEnum):
     RESIDUAL = 0
     TRAINING = 1
     UNSHADOWED = 2
+    # A second, independent scramble for points that are estimated twice.
+    CALIBRATION = 3
 
 
 def sampler_defines(sampler: str) -> dict[str, int]:

@@ -18,17 +18,29 @@ from .trace import Tracer
 NO_RAY = 0xFFFFFFFF
 # Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
+# Cells an axis of a sampling density; a power of two.
+DENSITY_BINS = 8
+# Floats of one point's density: cumulative distributions of the strips, then of each strip's cells.
+DENSITY_FLOATS = (DENSITY_BINS + 1) ** 2
 # Samples whose mean stands for the unshadowed integral; it only scales what the network learns.
 MEAN_SAMPLES = 64
 
 
 @dataclass
 class RayCount:
-    """How many rays were traced, how many were not worth tracing, and the seconds it took."""
+    """How many rays were traced, how many were not worth tracing, and seconds.
+
+    Attributes
+    ----------
+    traced, skipped : int
+    trace_seconds, sample_seconds : float
+        Spent in embree, and in all else that drawing samples takes.
+    """
 
     traced: int = 0
     skipped: int = 0
-    seconds: float = 0.0
+    trace_seconds: float = 0.0
+    sample_seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -45,6 +57,8 @@ class Batch:
         Samples of each point; `stride` elements are reserved for each.
     u, v, value, slot, visible : HostArray
         Coordinates, values without shadow, and where in `visible` (uint8) a sample's ray was answered.
+    weight : HostArray, optional
+        One over the density that the samples were drawn with; None: uniform.
     """
 
     points: range
@@ -56,6 +70,7 @@ class Batch:
     value: HostArray
     slot: HostArray
     visible: HostArray
+    weight: HostArray | None = None
 
 
 class SampleSource:
@@ -67,7 +82,7 @@ class SampleSource:
     sampler : {"independent", "sobol"}
     seed : int
     samples_per_point : int
-        The most samples a point that one batch will hold.
+        Samples a point that `batches` leaves room for.
     """
 
     def __init__(
@@ -94,17 +109,22 @@ class SampleSource:
             **integrand.defines(scene),
             "NO_RAY": f"{NO_RAY}u",
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
+            "WARPED": 0,
         }
         files = ("common", "sampler", "surface", *integrand.files, "samples")
         self._program = build(device, files, defines)
+        # Built when first asked for: most renders draw uniformly only, or by density only.
+        self._warped_files = ("common", "sampler", "surface", *integrand.files, "warp", "samples")
+        self._warped_defines = {**defines, "WARPED": 1, "DENSITY_BINS": DENSITY_BINS}
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
 
-        self.stride = -(-samples_per_point // device.vector_width) * device.vector_width
+        self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
         capacity = self.points_per_batch * self.stride
         self._u = HostArray(device, capacity, np.float32)
         self._v = HostArray(device, capacity, np.float32)
         self._value = HostArray(device, (self.channels, capacity), np.float32)
+        self._weight = HostArray(device, capacity, np.float32)
         self._slot = HostArray(device, capacity, np.uint32)
         self._visible = HostArray(device, capacity, np.uint8)
         self._origins = HostArray(device, (capacity, 3), np.float32)
@@ -117,6 +137,24 @@ class SampleSource:
         step = self.points_per_batch
         count = self.points.active if count is None else count
         return [range(first, min(first + step, count)) for first in range(0, count, step)]
+
+    def parts(self, points: range, samples: range) -> list[tuple[range, range]]:
+        """`samples` of each of `points`, cut into ranges of both that fit a batch."""
+        capacity = self.points_per_batch * self.stride
+        most = capacity // self.device.vector_width * self.device.vector_width
+        found = []
+        for first in range(samples.start, samples.stop, most):
+            part = range(first, min(first + most, samples.stop))
+            step = max(1, capacity // self._stride_of(len(part)))
+            found += [
+                (range(a, min(a + step, points.stop)), part)
+                for a in range(points.start, points.stop, step)
+            ]
+        return found
+
+    def _stride_of(self, samples: int) -> int:
+        """`samples` rounded up to whole vectors."""
+        return -(-samples // self.device.vector_width) * self.device.vector_width
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
@@ -134,16 +172,30 @@ class SampleSource:
         )
         return means
 
-    def draw(self, points: range, samples: range, stream: int, order: HostArray | None = None) -> Batch:
-        """Sample points order[i], i in `points` (at most `points_per_batch`), and trace what matters.
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: HostArray | None = None,
+    ) -> Batch:
+        """Sample points order[i], i in `points`, and trace what matters; see `parts` for how many.
 
-        Without an `order` these are the points themselves. The batch is valid until the next call.
+        Without an `order` these are the points themselves. With a `density`, float32 (points.active,
+        DENSITY_FLOATS) as warp.cl reads it, samples are drawn by it, else uniformly. The batch is valid
+        until the next call.
         """
+        begun = time.perf_counter()
         order = self._every_point if order is None else order
         count = len(samples)
-        stride = -(-count // self.device.vector_width) * self.device.vector_width
+        stride = self._stride_of(count)
         self._ray_count.fill(0)
-        self._program.kernel("draw_samples")(
+        program, warp = self._program, []
+        if density is not None:
+            program = build(self.device, self._warped_files, self._warped_defines)
+            warp = [density, self._weight]
+        program.kernel("draw_samples")(
             len(points) * stride // self.device.vector_width,
             points.start,
             len(points),
@@ -156,6 +208,7 @@ class SampleSource:
             order,
             self.points.surface,
             self._data,
+            *warp,
             self._u,
             self._v,
             self._value,
@@ -174,9 +227,10 @@ class SampleSource:
             self._visible.mapped(write=True, count=rays) as visible,
         ):
             self._tracer.visible(origins, directions, distances, visible)
-        self.rays.seconds += time.perf_counter() - started
+        ended = time.perf_counter()
+        self.rays.trace_seconds += ended - started
+        self.rays.sample_seconds += started - begun
         self.rays.traced += rays
         self.rays.skipped += len(points) * count - rays
-        return Batch(
-            points, order, count, stride, self._u, self._v, self._value, self._slot, self._visible
-        )
+        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(points, order, count, stride, *arrays, *warp[1:])

@@ -9,11 +9,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from .integrands import Integrand
 from .presets import PRESETS
 from .sampler import SAMPLERS
 
 METHODS = ("ncv", "mc")
+DENSITIES = ("table", "none")
+ALLOCATIONS = ("magnitude", "pilot", "uniform")
 
 
 @dataclass
@@ -45,20 +49,23 @@ class RenderSettings:
     supersample: int
     seed: int
     preset: str
+    density: str | None = None
+    allocation: str | None = None
 
     def __post_init__(self) -> None:
+        self._check_estimator()
         if self.method not in METHODS:
             raise ValueError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
         if self.sampler not in SAMPLERS:
             raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
         counts = {
             "spp": self.spp,
             "size[0]": self.size[0],
             "size[1]": self.size[1],
             "supersample": self.supersample,
         }
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
         if self.train_spp != "auto" and not (
             isinstance(self.train_spp, numbers.Real) and 0 < self.train_spp < math.inf
         ):
@@ -66,3 +73,55 @@ class RenderSettings:
         for name, value in counts.items():
             if int(value) != value or value < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+
+    def _check_estimator(self) -> None:
+        if self.density not in (None, *DENSITIES):
+            raise ValueError(f"density must be one of {', '.join(DENSITIES)}, got {self.density!r}")
+        if self.allocation not in (None, *ALLOCATIONS):
+            raise ValueError(
+                f"allocation must be one of {', '.join(ALLOCATIONS)}, got {self.allocation!r}"
+            )
+        if self.method == "mc" and (self.density == "table" or self.allocation == "magnitude"):
+            raise ValueError(
+                "plain Monte Carlo learns no residual: density 'table' and allocation 'magnitude' need "
+                "method 'ncv' (allocation 'pilot' suits 'mc')"
+            )
+        if self.method == "ncv" and self.allocation == "pilot":
+            raise ValueError("allocation 'pilot' is for method 'mc'; 'ncv' takes 'magnitude'")
+
+    @property
+    def uses_density(self) -> bool:
+        """Whether the residual is sampled by its learned density."""
+        chosen = self.density or ("table" if PRESETS[self.preset].density else "none")
+        return self.method == "ncv" and chosen == "table"
+
+    @property
+    def allocates(self) -> bool:
+        """Whether points get samples by the magnitude of their residual."""
+        chosen = self.allocation or ("magnitude" if PRESETS[self.preset].density else "uniform")
+        return self.method == "ncv" and chosen == "magnitude"
+
+    def training_points(
+        self, active: int, samples_a_point: int, auto_samples: int
+    ) -> tuple[np.ndarray, int]:
+        """Which of `active` points get training samples, uint32, and how many each.
+
+        Parameters
+        ----------
+        samples_a_point : int
+            Where fewer are asked for on average, so many are drawn at fewer points.
+        auto_samples : int
+            Samples in all for `train_spp` "auto".
+        """
+        spp = self.train_spp
+        if spp == "auto":
+            spp = min(auto_samples / active, max(self.spp / 4, 1.0))
+        if not PRESETS[self.preset].subset or spp >= samples_a_point:
+            return np.arange(active, dtype=np.uint32), max(1, round(spp))
+        count = min(active, max(1, round(active * spp / samples_a_point)))
+        # One point at random of each of `count` runs: spread over the image, without a pattern.
+        edges = np.linspace(0, active, count + 1)
+        generator = np.random.Generator(np.random.Philox([self.seed, 2]))
+        picks = edges[:-1] + generator.uniform(size=count) * np.diff(edges)
+        samples = samples_a_point if active * spp >= samples_a_point else max(1, round(active * spp))
+        return np.minimum(picks, active - 1).astype(np.uint32), samples

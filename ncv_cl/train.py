@@ -58,6 +58,35 @@ class TrainSettings:
     weight_power: float = 1.0
 
 
+@dataclass(frozen=True)
+class TrainingSamples:
+    """What a `Trainer` keeps of its samples, one column a shading point.
+
+    Attributes
+    ----------
+    order : HostArray
+        uint32 (count,), the shading point of each column.
+    u, v, target : HostArray
+        float32 (samples, stride), (samples, stride) and (samples, channels, stride).
+    encoder : Encoder
+        Features of the same columns, those of the grid encoded from the trained table.
+    """
+
+    order: HostArray
+    u: HostArray
+    v: HostArray
+    target: HostArray
+    encoder: Encoder
+
+    @property
+    def count(self) -> int:
+        return self.order.shape[0]
+
+    @property
+    def samples(self) -> int:
+        return self.u.shape[0]
+
+
 class Trainer:
     """Trains one network on samples of one image's shading points.
 
@@ -101,9 +130,8 @@ class Trainer:
         position[shuffled] = np.arange(count, dtype=np.uint32)
         self._position = HostArray.of(device, position)
         order = chosen[shuffled]
-        self._encoder = Encoder(
-            device, description.encoding, points, network.cube, HostArray.of(device, order)
-        )
+        self._order = HostArray.of(device, order)
+        self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
         batches = max(1, round(count / settings.batch))
         edges = np.linspace(0, count, batches + 1).astype(int)
         self._batches = [range(a, b) for a, b in itertools.pairwise(edges)]
@@ -191,6 +219,11 @@ class Trainer:
                 else:
                     bases[part.start - len(heads) : part.stop - len(heads)] *= self._scale
         return Network(description, parameters, self._table.average.read(), self._start.cube)
+
+    def samples_of(self, network: Network) -> TrainingSamples:
+        """The samples stored last, with features as `network`, a result of this training, sees them."""
+        self._encoder.encode_grid(HostArray.of(self.device, network.table))
+        return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def _set_common_factor(self) -> None:
         """The integrand's mean for all, so that rates and losses do not depend on the scene's units."""

@@ -28,18 +28,21 @@ ORDER = (
     "probe",
     "choose",
     "train integrator estimate",
-    "integrate presets resolve",
+    "allocate calibrate density integrate presets resolve",
     "settings subdivide",
+    "passes report",
     "render",
     "cli __init__",
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
-    "train": {"presets", "render"},
+    "train": {"density", "presets", "render"},
+    "density": {"render"},
+    "passes": {"render"},
     "integrator": {"cli", "integrate", "subdivide", "render"},
     "integrate": {"cli", "subdivide", "__init__"},
-    "estimate": {"render", "resolve"},
+    "estimate": {"calibrate", "passes", "render", "report", "resolve"},
     "resolve": {"render"},
     "render": {"cli", "__init__"},
     "cli": set(),

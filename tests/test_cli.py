@@ -56,7 +56,7 @@ def test_render_writes_images_and_statistics(cli, one_device, method):
     assert set(seconds) >= stages | ({"train", "fold", "integrate"} if method == "ncv" else set())
     assert sum(seconds.values()) - seconds["total"] <= seconds["total"]
     # Training draws 16 samples at some of the points: to within one of these, 2 a point.
-    expected = (4 + 2 * (method == "ncv")) * stats["points"]
+    expected = (4 + 2 * (method == "ncv")) * stats["points"] + 4 * stats["points_done_twice"]
     assert abs(stats["samples_per_point"] * stats["points"] - expected) <= 16
     drawn = stats["rays_traced"] + stats["rays_skipped"]
     assert (
@@ -209,7 +209,7 @@ def test_a_saved_network_renders_again_without_training(cli):
     status, _, _ = cli("-o", "b.exr", "--network", "network.npz", "--json", "b.json")
     assert status == 0
     stats = json.loads(Path("b.json").read_text())
-    assert "train" not in stats["seconds"] and stats["samples_per_point"] == 4
+    assert "train" not in stats["seconds"] and stats["samples_per_point_range"] == [4, 8]
     # The same control variate, but for the training samples' own estimate.
     first, second = Image.read("a.exr"), Image.read("b.exr")
     assert np.array_equal(first.layers["G"], second.layers["G"])

@@ -54,7 +54,7 @@ def test_threads_do_not_change_the_image(one_device, scenes, monkeypatch, method
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_batches_do_not_change_the_image(device, scenes, monkeypatch, method, sampler):
     whole = picture(scenes, device, method=method, sampler=sampler)
-    monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 1000)
+    monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 300)
     draws = []
     draw = samples.SampleSource.draw
     monkeypatch.setattr(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -22,12 +23,14 @@ def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, mo
     assert np.isfinite(image.pixels).all() and image.pixels.any()
     assert "G" not in image.layers
     # What was drawn for training still counts.
-    assert image.stats["samples_per_point"] == 64 + 16
+    stats = image.stats
+    assert stats["samples_per_point"] == 64 + 16 + 64 * stats["points_done_twice"] / stats["points"]
 
 
-def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes):
+def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monkeypatch):
+    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 32)
     image = render(
         scenes / "cornell_box.toml", "ao", "mc", device=one_device, stop=lambda: True, **OPTIONS
     )
-    assert image.stats["samples_per_point"] == 32
+    assert image.stats["samples_per_point_range"] == [32, 64]
     assert np.isfinite(image.pixels).all() and image.pixels.any()

@@ -10,7 +10,7 @@ from ncv_cl.device import HostArray
 from ncv_cl.estimate import Estimate
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
-from ncv_cl.resolve import PixelGrid, combine, resolve_image
+from ncv_cl.resolve import PixelGrid, combine, estimate_of, resolve_image
 
 # 3 × 2 pixels of 2 × 2 sub-pixels: 6 columns. Pixel (0, 0) has sub-pixels 0, 1, 6, 7; pixel (1, 2)
 # has 16, 17, 22, 23. The last two points lie on lights 1 and 0.
@@ -39,13 +39,13 @@ def points(one_device):
     return ShadingPoints(HostArray.of(one_device, surface), CELL, LIGHT, ACTIVE, background)
 
 
-def estimate_of(channels=3, points=ACTIVE, samples=10, seed=2):
+def some_estimate(channels=3, points=ACTIVE, samples=10, seed=2):
     mean, variance = np.random.default_rng(seed).uniform(1, 2, (2, channels, points))
-    return Estimate(mean, variance, samples)
+    return Estimate(mean, variance, np.full(points, float(samples)))
 
 
 def test_pixels_and_variances_are_box_filtered(scene, points):
-    plain = estimate_of()
+    plain = some_estimate()
     image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
     assert image.pixels.shape == image.variance.shape == (2, 3, 3)
     np.testing.assert_allclose(image.pixels[0, 0], plain.mean[:, :3].sum(1) / 4, rtol=1e-6)
@@ -59,14 +59,14 @@ def test_pixels_and_variances_are_box_filtered(scene, points):
 
 
 def test_one_channel_becomes_grey(scene, points):
-    plain = estimate_of(channels=1)
+    plain = some_estimate(channels=1)
     image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
     np.testing.assert_allclose(image.pixels[0, 0], np.repeat(plain.mean[0, :3].sum() / 4, 3), rtol=1e-6)
     np.testing.assert_array_equal(image.variance[..., 0], image.variance[..., 2])
 
 
 def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
-    plain = estimate_of()
+    plain = some_estimate()
     dark = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
     lit = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
     expected = np.zeros((2, 3, 3))
@@ -76,7 +76,7 @@ def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
 
 
 def test_layers_average_all_hits(scene, points):
-    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, estimate_of())
+    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, some_estimate())
     pixel00, pixel12 = [0, 1, 2, 5], [3, 4, 6]
     for layer, name in (("albedo", "albedo"), ("N", "normal")):
         rows = points.rows(name)
@@ -92,7 +92,7 @@ def test_layers_average_all_hits(scene, points):
 
 
 def test_the_networks_layers_add_up_to_the_estimate(scene, points):
-    plain, residual = estimate_of(), estimate_of(seed=3)
+    plain, residual = some_estimate(), some_estimate(seed=3)
     integral = np.random.default_rng(4).uniform(size=(3, ACTIVE))
     image = resolve_image(
         scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain, None, residual, integral
@@ -103,23 +103,41 @@ def test_the_networks_layers_add_up_to_the_estimate(scene, points):
 
 
 def one(mean, variance, samples):
-    return Estimate(np.array([[mean]]), np.array([[variance]]), samples)
+    return Estimate(np.array([[mean]]), np.array([[variance]]), np.array([float(samples)]))
 
 
 @pytest.mark.parametrize(
-    ("training", "residual", "integral", "mean", "variance"),
-    [
-        (None, None, None, 5.0, 8 / 4),
-        (None, one(0.5, 0.4, 4), 3.0, 3.5, 0.4 / 4),
-        # 12 training samples and 4 others: weights 3/4 and 1/4.
-        (one(4.0, 6.0, 12), None, None, 0.75 * 4 + 0.25 * 5, 0.5625 * 6 / 12 + 0.0625 * 8 / 4),
-        (one(4.0, 6.0, 12), one(0.5, 0.4, 4), 3.0, 3 + 0.25 * 3.5, 0.5625 * 0.5 + 0.0625 * 0.1),
-    ],
+    ("residual", "integral", "mean", "variance"),
+    [(None, None, 5.0, 8 / 4), (one(0.5, 0.4, 4), 3.0, 3.5, 0.4 / 4)],
 )
-def test_estimates_combine_as_by_hand(training, residual, integral, mean, variance):
+def test_the_residual_is_added_to_the_integral(residual, integral, mean, variance):
     integral = None if integral is None else np.array([[integral]])
-    combined = combine(one(5.0, 8.0, 4), training, residual, integral)
-    np.testing.assert_allclose(np.ravel(combined), [mean, variance])
+    found = estimate_of(one(5.0, 8.0, 4), residual, integral)
+    np.testing.assert_allclose(np.ravel(found), [mean, variance])
+
+
+def test_training_samples_enter_by_their_number_or_their_error():
+    generator = np.random.default_rng(0)
+    truth = generator.uniform(size=(3, 20000))
+    # Half of the points have training samples; these are stratified, so their error is a fifth of what
+    # independent samples would have.
+    samples = np.where(np.arange(20000) % 2, 12.0, 0.0)
+    own = np.where(samples > 0, truth + generator.normal(size=truth.shape) * np.sqrt(0.1), 0)
+    training = Estimate(own, np.full(truth.shape, 6.0), samples)
+    mean = truth + generator.normal(size=truth.shape) * np.sqrt(0.025)
+    for by_count, share in ((4.0, 0.75), (None, 0.2)):
+        combined, variance = combine(mean, np.full(truth.shape, 0.025), training, by_count)
+        np.testing.assert_array_equal(combined[:, samples == 0], mean[:, samples == 0])
+        expected = share * own + (1 - share) * mean
+        np.testing.assert_allclose(combined[:, 1::2], expected[:, 1::2], atol=0.05)
+        error = np.mean((combined - truth)[:, 1::2] ** 2)
+        np.testing.assert_allclose(variance[:, 1::2].mean(), error, rtol=0.03)
+
+
+def test_training_samples_that_could_not_be_noticed_are_left_out():
+    mean, variance = np.ones((1, 4)), np.full((1, 4), 1e-6)
+    training = Estimate(np.array([[0.0, 2, 0, 2]]), np.ones((1, 4)), np.full(4, 1.0))
+    np.testing.assert_array_equal(combine(mean, variance, training)[0], mean)
 
 
 @pytest.mark.parametrize("supersample", [1, 3])
@@ -138,7 +156,7 @@ def test_a_picture_of_nothing_is_black(scene, one_device):
     points = ShadingPoints(
         HostArray(one_device, (ROW_COUNT, 0), np.float32), nothing, nothing.astype(int), 0, 24
     )
-    plain = Estimate(np.zeros((3, 0)), np.zeros((3, 0)), 0)
+    plain = Estimate(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0))
     image = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
     for plane in (image.pixels, image.variance, *image.layers.values()):
         assert not plane.any()

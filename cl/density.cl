@@ -1,0 +1,241 @@
+/* The sampling density of the residual: a small network that says, for every shading point, how large the
+ * residual |f - g| is in each of CELLS = DENSITY_BINS^2 cells of the unit square.
+ *
+ *   x = (features(phi) - feature_mean) * feature_scale     h = relu(W x + b)     e_k = exp(h . v_k + c_k)
+ *
+ * It minimises the mean over samples of r^2 / e + e, where r is the residual of the sample and e is that of the
+ * sample's cell; the minimiser is e = sqrt(E[r^2]), the density of least variance. In a step each sample
+ * touches one cell's row v_k only, so a sample costs about 2 DENSITY_HIDDEN multiply-adds and a column
+ * FEATURES * DENSITY_HIDDEN.
+ *
+ * Parameters: W as FEATURES rows of DENSITY_HIDDEN floats, then b, then CELLS rows v_k of DENSITY_HIDDEN, then c.
+ * Samples as in train.cl: sample s of column i is element s * stride + i. `features` is structure of arrays.
+ *
+ * Joined after mlp.cl for FITTING, else after warp.cl.
+ *
+ * Work-group contract: density_gradients runs in groups of exactly LANES work-items, which share the hidden units,
+ * VEC a work-item at a time; LANES floats of local memory, barriers for sums over the lanes and for
+ * columns' activations under conditions that are the same for the whole group. Every group owns one row of
+ * `partial`, and density_adam adds the rows in order: the same bits every time. The others: any size, no local
+ * memory, no barriers.
+ */
+
+#define CELLS (DENSITY_BINS * DENSITY_BINS)
+#define UNIT_BLOCKS (DENSITY_HIDDEN / VEC)
+/* Hidden units of one work-item, in blocks of VEC. */
+#define OWN_BLOCKS ((UNIT_BLOCKS + LANES - 1) / LANES)
+#define AT_UNIT_BIAS (FEATURES * DENSITY_HIDDEN)
+#define AT_ROWS (AT_UNIT_BIAS + DENSITY_HIDDEN)
+#define AT_CELL_BIAS (AT_ROWS + CELLS * DENSITY_HIDDEN)
+
+int cell_of(const float u, const float v) {
+  const int strip = clamp((int)(u * (float)DENSITY_BINS), 0, DENSITY_BINS - 1);
+  return strip * DENSITY_BINS + clamp((int)(v * (float)DENSITY_BINS), 0, DENSITY_BINS - 1);
+}
+
+/* log e, kept where neither e nor 1 / e overflow or outweigh all other samples. */
+#define LOG_LIMIT 7.0f
+
+/* Sum over the group; every work-item gets it. */
+float sum_group(const float own, local float *shared) {
+#if LANES == 1
+  (void)shared;
+  return own;
+#else
+  const uint lane = (uint)get_local_id(0);
+  barrier(CLK_LOCAL_MEM_FENCE);
+  shared[lane] = own;
+  for (uint half_width = LANES / 2; half_width > 0; half_width /= 2) {
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lane < half_width) shared[lane] += shared[lane + half_width];
+  }
+  barrier(CLK_LOCAL_MEM_FENCE);
+  return shared[0];
+#endif
+}
+
+#if FITTING
+/* Mean over channels of (f - g)^2 for every stored sample, over the square of its point's `unit`. One work-item
+ * takes VEC samples of one column. */
+kernel void squared_residuals(const uint count, const uint stride, const uint samples,
+                              global const uint *restrict order, global const float *restrict all_u,
+                              global const float *restrict all_v, global const float *restrict all_targets,
+                              global const float *restrict unit, NETWORK_ARGUMENTS,
+                              global float *restrict squared) {
+  const uint column = (uint)get_global_id(0) % count;
+  const uint first = (uint)get_global_id(0) / count * VEC;
+  if (first >= samples) return;
+  const uint point = order[column];
+  const PointNetwork network = NETWORK_OF(point);
+  float u[VEC], v[VEC];
+  for (uint k = 0; k < VEC; ++k) {
+    const ulong at = min(first + k, samples - 1) * (ulong)stride + column;
+    u[k] = all_u[at];
+    v[k] = all_v[at];
+  }
+  real g[CHANNELS];
+  network_value(&network, LOAD(u), LOAD(v), g);
+  const float inverse = unit[point] > 0.0f ? 1.0f / unit[point] : 0.0f;
+  real sum = (real)0.0f;
+  for (uint c = 0; c < CHANNELS; ++c) {
+    float f[VEC];
+    for (uint k = 0; k < VEC; ++k)
+      f[k] = all_targets[(min(first + k, samples - 1) * CHANNELS + c) * (ulong)stride + column];
+    const real residual = (LOAD(f) - g[c]) * inverse;
+    sum = FMA(residual, residual, sum);
+  }
+  float squares[VEC];
+  STORE(sum * (1.0f / CHANNELS), squares);
+  for (uint k = 0; k < VEC && first + k < samples; ++k)
+    squared[(first + k) * (ulong)stride + column] = squares[k];
+}
+
+/* One step's gradients: columns first .. first + count, samples sample .. sample + DENSITY_SAMPLES of each. */
+kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients(
+    const uint sample, const uint first, const uint count, const uint stride, const float unit_square,
+    global const float *restrict features, global const float *restrict feature_mean,
+    global const float *restrict feature_scale, global const float *restrict all_u,
+    global const float *restrict all_v, global const float *restrict squared,
+    global const float *restrict parameters, global float *restrict partial) {
+  local float shared[LANES];
+  const uint lane = (uint)get_local_id(0);
+  const uint group = (uint)get_group_id(0);
+  const uint groups = (uint)get_num_groups(0);
+  global float *restrict own = partial + group * (ulong)DENSITY_PARAMETERS;
+  const float share = 1.0f / (float)(count * DENSITY_SAMPLES);
+  for (uint p = lane * VEC; p < DENSITY_PARAMETERS; p += LANES * VEC) STORE((real)0.0f, own + p);
+  barrier(CLK_GLOBAL_MEM_FENCE);
+
+  for (uint column = first + group; column < first + count; column += groups) {
+    real h[OWN_BLOCKS];
+    real delta_h[OWN_BLOCKS];
+    for (uint k = 0; k < OWN_BLOCKS; ++k) {
+      const uint at = min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC;
+      real sum = LOAD(parameters + AT_UNIT_BIAS + at);
+      for (uint f = 0; f < FEATURES; ++f) {
+        const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
+        sum = FMA(LOAD(parameters + f * DENSITY_HIDDEN + at), (real)x, sum);
+      }
+      /* Lanes beyond the last block take part in the sums with zeros. */
+      h[k] = lane + k * LANES < UNIT_BLOCKS ? max(sum, (real)0.0f) : (real)0.0f;
+      delta_h[k] = (real)0.0f;
+    }
+    for (uint s = 0; s < DENSITY_SAMPLES; ++s) {
+      const ulong row = (sample + s) * (ulong)stride + column;
+      const int cell = cell_of(all_u[row], all_v[row]);
+      global const float *restrict weights = parameters + AT_ROWS + cell * DENSITY_HIDDEN;
+      real product = (real)0.0f;
+      for (uint k = 0; k < OWN_BLOCKS; ++k)
+        product = FMA(LOAD(weights + min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC), h[k], product);
+      const float z = sum_group(sum_lanes(product), shared) + parameters[AT_CELL_BIAS + cell];
+      const float e = exp(clamp(z, -LOG_LIMIT, LOG_LIMIT));
+      /* Beyond the limit only what leads back counts. */
+      const float slope = e - squared[row] * unit_square / e;
+      const float delta = fabs(z) < LOG_LIMIT || z * slope > 0.0f ? slope * share : 0.0f;
+      for (uint k = 0; k < OWN_BLOCKS; ++k) {
+        const uint block = lane + k * LANES;
+        if (block < UNIT_BLOCKS) {
+          global float *restrict gradient = own + AT_ROWS + cell * DENSITY_HIDDEN + block * VEC;
+          STORE(FMA((real)delta, h[k], LOAD(gradient)), gradient);
+          delta_h[k] = FMA((real)delta, LOAD(weights + block * VEC), delta_h[k]);
+        }
+      }
+      if (lane == 0) own[AT_CELL_BIAS + cell] += delta;
+    }
+    for (uint k = 0; k < OWN_BLOCKS; ++k) {
+      const uint block = lane + k * LANES;
+      if (block < UNIT_BLOCKS) {
+        const real delta = SELECT((real)0.0f, delta_h[k], h[k] > 0.0f);
+        for (uint f = 0; f < FEATURES; ++f) {
+          const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
+          global float *restrict gradient = own + f * DENSITY_HIDDEN + block * VEC;
+          STORE(FMA((real)x, delta, LOAD(gradient)), gradient);
+        }
+        global float *restrict gradient = own + AT_UNIT_BIAS + block * VEC;
+        STORE(LOAD(gradient) + delta, gradient);
+      }
+    }
+  }
+}
+
+/* One Adam step (Kingma and Ba 2015, algorithm 1), VEC parameters a work-item. */
+kernel void density_adam(const uint groups, const float rate, const float correction1,
+                         const float correction2, global const float *restrict partial,
+                         global float *restrict parameters, global float *restrict moment1,
+                         global float *restrict moment2) {
+  const uint p = (uint)get_global_id(0) * VEC;
+  if (p >= DENSITY_PARAMETERS) return;
+  real gradient = (real)0.0f;
+  for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)DENSITY_PARAMETERS + p);
+  const real m1 = FMA((real)ADAM_BETA1, LOAD(moment1 + p), (1.0f - ADAM_BETA1) * gradient);
+  const real m2 = FMA((real)ADAM_BETA2, LOAD(moment2 + p), (1.0f - ADAM_BETA2) * gradient * gradient);
+  STORE(m1, moment1 + p);
+  STORE(m2, moment2 + p);
+  const real step = rate * correction1 * m1 / (sqrt(m2 * correction2) + ADAM_EPSILON);
+  STORE(LOAD(parameters + p) - step, parameters + p);
+}
+#else
+
+/* One distribution over DENSITY_BINS bins as warp.cl reads it, for VEC points at once: cumulative
+ * probabilities of `weight`, which sum to `total`. */
+void store_distribution(const real weight[DENSITY_BINS], const real total, const uint valid,
+                        global float *restrict record) {
+  real sum = (real)0.0f;
+  for (uint bin = 0; bin <= DENSITY_BINS; ++bin) {
+    float edge[VEC];
+    STORE(bin < DENSITY_BINS ? sum / total : (real)1.0f, edge);
+    for (uint lane = 0; lane < valid; ++lane) record[lane * DENSITY_FLOATS + bin] = edge[lane];
+    if (bin < DENSITY_BINS) sum += weight[bin];
+  }
+}
+
+/* The densities of points first_point .. first_point + count, whose features are the first `count` columns, and
+ * the mean of e over the square in `magnitude`. A share of UNIFORM_SHARE of each density is uniform. */
+kernel void density_tables(const uint count, const uint stride, const uint first_point,
+                           global const float *restrict features,
+                           global const float *restrict feature_mean,
+                           global const float *restrict feature_scale,
+                           global const float *restrict parameters, global float *restrict magnitude,
+                           global float *restrict density) {
+  const uint first = (uint)get_global_id(0) * VEC;
+  if (first >= count) return;
+  const uint valid = min((uint)VEC, count - first);
+  real h[DENSITY_HIDDEN];
+  for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = (real)parameters[AT_UNIT_BIAS + j];
+  for (uint f = 0; f < FEATURES; ++f) {
+    const real x = (LOAD(features + f * (ulong)stride + first) - feature_mean[f]) * feature_scale[f];
+    for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = FMA((real)parameters[f * DENSITY_HIDDEN + j], x, h[j]);
+  }
+  for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = max(h[j], (real)0.0f);
+
+  real e[CELLS];
+  real total = (real)0.0f;
+  for (uint k = 0; k < CELLS; ++k) {
+    global const float *restrict weights = parameters + AT_ROWS + k * DENSITY_HIDDEN;
+    real z = (real)parameters[AT_CELL_BIAS + k];
+    for (uint j = 0; j < DENSITY_HIDDEN; ++j) z = FMA((real)weights[j], h[j], z);
+    e[k] = exp(clamp(z, (real)-LOG_LIMIT, (real)LOG_LIMIT));
+    total += e[k];
+  }
+  const real mean = total * (1.0f / CELLS);
+  float means[VEC];
+  STORE(mean, means);
+  for (uint lane = 0; lane < valid; ++lane) magnitude[first_point + first + lane] = means[lane];
+
+  global float *restrict record = density + (first_point + first) * (ulong)DENSITY_FLOATS;
+  const real uniform_part = mean * (UNIFORM_SHARE / (1.0f - UNIFORM_SHARE));
+  real strips[DENSITY_BINS];
+  real all = (real)0.0f;
+  for (uint strip = 0; strip < DENSITY_BINS; ++strip) {
+    real *cells = e + strip * DENSITY_BINS;
+    strips[strip] = (real)0.0f;
+    for (uint bin = 0; bin < DENSITY_BINS; ++bin) {
+      cells[bin] += uniform_part;
+      strips[strip] += cells[bin];
+    }
+    store_distribution(cells, strips[strip], valid, record + (strip + 1) * DENSITY_ROW);
+    all += strips[strip];
+  }
+  store_distribution(strips, all, valid, record);
+}
+#endif

@@ -1,0 +1,91 @@
+"""The variance of estimates whose samples are not independent, from points that are estimated twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .estimate import Estimate
+
+# Points that are estimated a second time: a share of all, within bounds.
+TWICE_SHARE = 1 / 32
+FEWEST_TWICE, MOST_TWICE = 256, 4096
+# Of a small image no larger share than this.
+LARGEST_TWICE_SHARE = 1 / 4
+# Values that a point of the variance's curve is estimated from, at least; points of the curve, at most.
+VALUES_A_CLASS = 96
+MOST_CLASSES = 16
+# A prior of the variance counts as much as so many samples.
+PRIOR_SAMPLES = 12
+# Stands for a ratio of zero, which has no logarithm.
+SMALLEST_RATIO = 1e-9
+
+
+def points_done_twice(points: int, seed: int) -> np.ndarray:
+    """Indices of the points to estimate a second time, uint32, sorted; at random."""
+    wanted = np.clip(points * TWICE_SHARE, FEWEST_TWICE, MOST_TWICE)
+    count = max(min(points, 1), int(min(wanted, points * LARGEST_TWICE_SHARE)))
+    generator = np.random.Generator(np.random.Philox([seed, 3]))
+    return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
+
+
+def calibrate(
+    first: Estimate, second: Estimate, twice: np.ndarray, prior: np.ndarray | None = None
+) -> Estimate:
+    """One estimate of both, with a variance that holds for stratified samples.
+
+    Half the squared difference of two independent estimates of a point is an unbiased estimate of their
+    variance, but one number is a poor one. So it is averaged over points for which the same variance was
+    expected were samples independent, s² / n: classes of neighbours in that order, between whose middles
+    the ratio to s² / n is interpolated. Where n is small, s² itself is uncertain; a prior steadies it.
+
+    Parameters
+    ----------
+    first : Estimate
+        Of all points.
+    second : Estimate
+        Of the points `twice`, with as many samples as the first and another scramble.
+    twice : ndarray
+        uint32.
+    prior : ndarray, optional
+        (points,), what the variance of a point's sample was predicted to be, up to a common factor.
+    """
+    single, repeated = _steadied(first, prior), _steadied(second, prior)
+    expected = single / np.maximum(first.samples, 1)
+    difference = first.mean[:, twice] - second.mean[:, twice]
+    measured = 0.5 * difference**2
+    both = 0.5 * (expected[:, twice] + repeated[:, twice] / np.maximum(second.samples[twice], 1))
+    ratio = _ratio_curve(both.ravel(), measured.ravel(), expected)
+    mean, variance, samples = first.mean.copy(), expected * ratio, first.samples.copy()
+    mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
+    variance[:, twice] *= 0.5
+    samples[twice] += second.samples[twice]
+    return replace(first, mean=mean, samples=samples, calibrated=variance)
+
+
+def _steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
+    """Variances of single samples, (channels, points), each with the prior's mixed in."""
+    if prior is None or not np.any(prior):
+        return estimate.variance
+    degrees = np.maximum(estimate.samples - 1, 0)
+    scale = (estimate.variance * degrees).sum(axis=1) / max(np.sum(prior * degrees), 1e-300)
+    expected = scale[:, None] * prior
+    return (estimate.variance * degrees + PRIOR_SAMPLES * expected) / (degrees + PRIOR_SAMPLES)
+
+
+def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """The ratio measured / expected as a function of expected, evaluated at `where`."""
+    positive = np.flatnonzero(expected > 0)
+    if not positive.size:
+        return np.ones_like(where)
+    ranked = positive[np.argsort(expected[positive], kind="stable")]
+    classes = np.array_split(ranked, int(np.clip(len(ranked) // VALUES_A_CLASS, 1, MOST_CLASSES)))
+    sums = np.array([expected[one].sum() for one in classes])
+    # Where a class lies is weighted as its sum is, or steep curves would be read at the wrong place.
+    middle = np.array([(expected[one] @ np.log(expected[one])) for one in classes]) / sums
+    ratios = np.array([measured[one].sum() for one in classes]) / sums
+    # Straight between logarithms, constant beyond the first and the last class.
+    logarithms = np.log(np.maximum(ratios, SMALLEST_RATIO))
+    places = np.log(np.maximum(where, np.exp(middle[0] - 1)))
+    return np.exp(np.interp(places, middle, logarithms))

@@ -1,0 +1,92 @@
+"""Drawing what was allocated, pass after pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from .allocate import Allocation
+from .device import Device, HostArray
+from .estimate import Estimator
+from .sampler import Stream
+from .samples import SampleSource
+from .settings import Stopwatch
+
+
+class Target(NamedTuple):
+    """An estimate, the samples it is to get, and the stream they come from."""
+
+    estimator: Estimator
+    allocation: Allocation
+    stream: Stream
+
+
+class Passes:
+    """Draws the samples of several estimates side by side.
+
+    A pass takes the same share of every point's samples and is done for all points or not at all, so
+    that after any pass there is an estimate of the whole image.
+
+    Parameters
+    ----------
+    device, source
+    targets : sequence of Target
+    samples_a_pass : int
+        Samples a point, on average over the first target's points.
+    density : HostArray, optional
+        As `SampleSource.draw` takes it.
+    watch : Stopwatch
+        Gets the seconds of stage "estimate".
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        source: SampleSource,
+        targets: list[Target],
+        samples_a_pass: int,
+        density: HostArray | None,
+        watch: Stopwatch,
+    ) -> None:
+        self._device, self._source, self._watch = device, source, watch
+        self._targets, self._density = targets, density
+        self._orders = [HostArray.of(device, target.allocation.chosen) for target in targets]
+        self.number = targets[0].allocation.number_of_passes(samples_a_pass)
+
+    def run(
+        self,
+        label: str,
+        progress: bool = False,
+        enough: Callable[[], bool] | None = None,
+        first: int = 0,
+    ) -> int:
+        """Run passes `first` and on until there are no more, or `enough` says so after a pass.
+
+        Returns the number of passes done, those before `first` counted.
+        """
+        total = sum(target.allocation.samples for target in self._targets)
+        # tqdm's disable=None draws on terminals only.
+        disable = None if progress else True
+        with tqdm(total=total, unit="sample", unit_scale=True, desc=label, disable=disable) as bar:
+            for number in range(first, self.number):
+                for target, order in zip(self._targets, self._orders, strict=True):
+                    self._run_one(target, order, number, bar)
+                if enough is not None and enough():
+                    return number + 1
+        return self.number
+
+    def _run_one(self, target: Target, order: HostArray, number: int, bar: tqdm) -> None:
+        estimator, allocation, stream = target
+        drawn = np.zeros(len(allocation.counts))
+        for run in allocation.part(number, self.number):
+            drawn[run.points.start : run.points.stop] = len(run.samples)
+            for points, samples in self._source.parts(*run):
+                batch = self._source.draw(points, samples, stream, order, self._density)
+                with self._watch("estimate"):
+                    estimator.add(batch, samples.start)
+                    self._device.queue.finish()
+            bar.update(len(run.points) * len(run.samples))
+        estimator.finish_pass(drawn, allocation.chosen)

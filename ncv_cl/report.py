@@ -1,0 +1,76 @@
+"""What an image says of how it was made: statistics and metadata."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+from .device import Device
+from .estimate import Estimate
+from .network import Network
+from .points import ShadingPoints
+from .samples import RayCount
+from .scene import Scene
+from .settings import RenderSettings
+
+
+def package_version() -> str:
+    """The installed version of ncv_cl."""
+    try:
+        return version("ncv_cl")
+    except PackageNotFoundError:
+        return "unpackaged"
+
+
+def statistics(
+    points: ShadingPoints,
+    rays: RayCount,
+    device: Device,
+    plain: Estimate,
+    training: Estimate | None,
+    residual: Estimate | None,
+    network: Network | None,
+    points_done_twice: int,
+) -> dict[str, object]:
+    """Counts of a render; means are over the image's points, whole numbers where all have the same."""
+    drawn = float(plain.samples.mean()) if points.active else 0.0
+    trained = float(training.samples.mean()) if training else 0.0
+    found: dict[str, object] = {
+        "rays_traced": rays.traced,
+        "rays_skipped": rays.skipped,
+        "points": points.active,
+        "points_skipped": points.background + points.total - points.active,
+        "samples_per_point": drawn + trained,
+        "points_done_twice": points_done_twice,
+        "network_inputs": list(network.description.encoding.inputs) if network else [],
+        "device": device.identity,
+    }
+    if points.active:
+        found["samples_per_point_range"] = [int(plain.samples.min()), int(plain.samples.max())]
+    reference = plain if training is None else training
+    if residual is not None and reference.variance.any():
+        sampled = reference.samples > 1
+        found["residual_variance_ratio"] = float(
+            residual.variance.mean() / reference.variance[:, sampled].mean()
+        )
+    return found
+
+
+def metadata(
+    scene: Scene, settings: RenderSettings, device: Device, drawn: float, trained: float
+) -> dict[str, object]:
+    """What image files carry: enough to render them again."""
+    return {
+        "version": package_version(),
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+        "integrand": settings.integrand.name,
+        "method": settings.method,
+        "preset": settings.preset,
+        "sampler": settings.sampler,
+        "density": "table" if settings.uses_density else "none",
+        "spp": drawn,
+        "train_spp": trained,
+        "supersample": settings.supersample,
+        "seed": settings.seed,
+        "device": device.identity,
+    }
