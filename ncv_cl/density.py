@@ -33,8 +33,10 @@ class DensitySettings:
         Training points a minibatch, about.
     samples_a_step : int
         Samples of each of them that one Adam step sees.
-    passes : int
-        How often each stored sample is used.
+    steps : int
+        Adam steps: what the predictor needs does not depend on how many samples there are.
+    most_passes : int
+        How often each stored sample is used at most; where there are few, there are fewer steps.
     rate, final_rate : float
         Adam's step size at first and, after a cosine decay, at last.
     beta1, beta2, epsilon : float
@@ -46,7 +48,8 @@ class DensitySettings:
     hidden: int = 32
     columns: int = 128
     samples_a_step: int = 16
-    passes: int = 4
+    steps: int = 640
+    most_passes: int = 8
     rate: float = 1e-2
     final_rate: float = 1e-3
     beta1: float = 0.9
@@ -240,14 +243,15 @@ class DensityTrainer:
         return squared
 
     def fit(self) -> DensityNetwork:
-        """All passes over the stored samples."""
+        """Run the schedule over the stored samples."""
         settings, samples = self.settings, self._samples
         batches = max(1, round(samples.count / settings.columns))
         edges = np.linspace(0, samples.count, batches + 1).astype(int)
         starts = range(0, samples.samples - self._step_samples + 1, self._step_samples)
-        steps = itertools.product(range(settings.passes), starts, itertools.pairwise(edges.tolist()))
-        total = settings.passes * len(starts) * batches
-        for number, (_, sample, (begin, end)) in enumerate(steps, 1):
+        batches_and_samples = list(itertools.product(starts, itertools.pairwise(edges.tolist())))
+        total = min(settings.steps, settings.most_passes * len(batches_and_samples))
+        steps = itertools.islice(itertools.cycle(batches_and_samples), total)
+        for number, (sample, (begin, end)) in enumerate(steps, 1):
             self._step(sample, begin, end - begin, number, total)
         return DensityNetwork(
             self._parameters.read(),
