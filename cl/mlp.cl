@@ -4,14 +4,13 @@
  *
  * (u, v) enter as they are, so g is piecewise affine in them and its integral is exact (integrate.cl).
  * phi acts through linear heads: every group of weights but W2 may be `base + H features(phi)`. Heads are
- * evaluated once per shading point (kernel `fold`), and what remains is a small network of (u, v) alone.
+ * evaluated once per shading point (fold.cl), and what remains is a small network of (u, v) alone.
  *
  * Memory layout: w1 (HIDDEN1, 2), b1, w2 (HIDDEN2, HIDDEN1), b2, w3 (CHANNELS, HIDDEN2), b3 are row-major,
  * each its own array. Point p's part of array X starts at p * STRIDE_X; a stride of 0 means that all points
  * share it. `parameters` is the trained vector that network.py describes: W2, then HEAD_ROWS rows of
  * FEATURES + 1 floats (the last multiplies the constant 1), then BASE_ROWS single floats. Row ROW_X + i
- * yields element i of group X; rows below HEAD_ROWS have features. `features` is structure of arrays:
- * feature f of column i at features[f * stride + i].
+ * yields element i of group X; rows below HEAD_ROWS have features.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
@@ -72,57 +71,6 @@ void network_value(const PointNetwork *network, const real u, const real v, real
         value[c] = FMA((real)network->w3[c * HIDDEN2 + j + k], h2, value[c]);
     }
   }
-}
-
-/* Rows row .. row + count of the heads for VEC points, each point's values consecutive in `group`.
- * `factor`, where not null, holds a plane of `factor_stride` floats a channel, and row i of the group is
- * multiplied by channel i / rows_a_channel. */
-void fold_group(const uint row, const uint count, const uint first, const uint end, const uint stride,
-                const uint first_point, global const float *restrict features,
-                global const float *restrict parameters, global const float *restrict factor,
-                const uint factor_stride, const uint rows_a_channel, global float *restrict group) {
-  for (uint k = 0; k < count; ++k) {
-    global const float *restrict head = parameters + AT_HEADS + (row + k) * (FEATURES + 1);
-    real sum = (real)head[FEATURES];
-    for (uint f = 0; f < FEATURES; ++f) sum = FMA((real)head[f], LOAD(features + f * (ulong)stride + first), sum);
-    float values[VEC];
-    STORE(sum, values);
-    for (uint lane = 0; lane < VEC && first + lane < end; ++lane) {
-      const ulong point = first_point + first + lane;
-      const float scale = factor ? factor[(k / rows_a_channel) * (ulong)factor_stride + point] : 1.0f;
-      group[point * count + k] = values[lane] * scale;
-    }
-  }
-}
-
-/* The per-point groups of points first_point .. first_point + count, whose features are the first `count`
- * columns. The output layer takes the factor of what the network learned (DEMODULATED). */
-kernel void fold(const uint count, const uint stride, const uint first_point, const uint factor_stride,
-                 global const float *restrict features, global const float *restrict parameters,
-                 global const float *restrict factor, global float *restrict w1, global float *restrict b1,
-                 global float *restrict b2, global float *restrict w3, global float *restrict b3) {
-  /* Arguments of groups that phi does not act on go unused. */
-  (void)factor_stride, (void)features, (void)parameters, (void)factor, (void)stride, (void)first_point;
-  (void)w1, (void)b1, (void)b2, (void)w3, (void)b3;
-  const uint first = (uint)get_global_id(0) * VEC;
-  if (first >= count) return;
-#if STRIDE_W1
-  fold_group(ROW_W1, STRIDE_W1, first, count, stride, first_point, features, parameters, 0, 0, 1, w1);
-#endif
-#if STRIDE_B1
-  fold_group(ROW_B1, STRIDE_B1, first, count, stride, first_point, features, parameters, 0, 0, 1, b1);
-#endif
-#if STRIDE_B2
-  fold_group(ROW_B2, STRIDE_B2, first, count, stride, first_point, features, parameters, 0, 0, 1, b2);
-#endif
-#if STRIDE_W3
-  fold_group(ROW_W3, STRIDE_W3, first, count, stride, first_point, features, parameters,
-             DEMODULATED ? factor : 0, factor_stride, HIDDEN2, w3);
-#endif
-#if STRIDE_B3
-  fold_group(ROW_B3, STRIDE_B3, first, count, stride, first_point, features, parameters,
-             DEMODULATED ? factor : 0, factor_stride, 1, b3);
-#endif
 }
 
 /* g at `stride` samples a point: values in one plane of point_count * stride a channel. */

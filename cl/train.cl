@@ -1,4 +1,4 @@
-/* Training: loss gradients of a minibatch, fixed-order reduction, Adam with moving averages.
+/* Training: loss gradients of a minibatch, reduced in a fixed order.
  *
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
  * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
@@ -6,69 +6,80 @@
  * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
  * column and channel, is the factor over its mean to a power that the host chose.
  *
- * gradients: a group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a
- * column: all weights but W2), samples forward and backward, and rows of the gradient by theta stay in local
- * memory, row after row of TILE floats. Heads are paid once a column, not once a sample. Each work-item
- * works on VEC columns; after a barrier each computes some of the parameters' gradients as sums over the
- * tile. Every group owns one row of `partial`, adam adds the rows in order: no atomics, the same
- * bits every time.
+ * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
+ * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
+ * floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only the grid's entries
+ * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
+ * a column, column after column, level after level.
  *
- * adam: the first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (the vector is
- * padded, the loss rides at AT_LOSS in the padding), each further one a table entry that the
- * minibatch touches; it gathers the entry's gradient from an inverted index (columns and weights, entry
- * after entry), so again no atomics. Entries that a minibatch does not touch keep value and moments.
+ * A group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a column: all weights but
+ * W2), samples forward and backward, and rows of the gradient by theta stay in local memory, row after row
+ * of TILE floats. Heads are paid once a column, not once a sample. Each work-item works on VEC columns; after a
+ * barrier each computes some of the parameters' gradients as sums over the tile. Every group owns one row of
+ * `partial`, and adam.cl adds the rows in order: no atomics, the same bits every time. The first IDLE_GROUPS
+ * groups do nothing.
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
- * local memory LOCAL_FLOATS floats; barriers between the phases of the tile loop, whose bounds are the same
- * for the whole group. The others: any size, no local memory, no barriers.
+ * barriers between the phases of the tile loop, whose bounds are the same for the whole group. store_samples:
+ * any size, no local memory, no barriers.
  */
 
-#define FEATURES_AND_ONE (FEATURES + 1)
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
 #define TILE_BLOCKS (TILE / VEC)
-#define FEATURE_FLOATS (FEATURE_BLOCKS * VEC)
-#define GRID_ROWS (GRID_LEVELS * GRID_FEATURES)
+#define FEATURE_BLOCKS (FEATURE_FLOATS / VEC)
 /* Rows of theta that one pass over the features computes, so that a loaded feature serves several. */
-#define ROW_BLOCK 8
+#define ROW_BLOCK (HEAD_ROWS < 8 ? 1 : 8)
+/* Vectors of features that one pass over a tile's columns takes; on a GPU the work-items share them. */
+#if LANES > 1
+#define BLOCKS_AT_ONCE 1
+#elif FEATURE_FLOATS / VEC % 3 == 0
+#define BLOCKS_AT_ONCE 3
+#elif FEATURE_FLOATS / VEC % 2 == 0
+#define BLOCKS_AT_ONCE 2
+#else
+#define BLOCKS_AT_ONCE 1
+#endif
+/* Features that one pass over the rows of theta computes gradients of. */
+#define GRID_BLOCK (GRID_ROWS < 8 ? GRID_ROWS : 8)
 
 /* theta rows of VEC columns: heads times features, and plain bases. */
 void heads_forward(global const float *restrict parameters, local const real *restrict features,
                    local real *restrict theta) {
-  for (int row = 0; row < HEAD_ROWS; row += ROW_BLOCK) {
-    const int rows = min(ROW_BLOCK, HEAD_ROWS - row);
-    global const float *restrict head = parameters + AT_HEADS + row * FEATURES_AND_ONE;
+  for (int block = 0; block < HEAD_ROWS; block += ROW_BLOCK) {
+    /* The last block begins earlier, where it would be a part only. */
+    const int row = min(block, HEAD_ROWS - ROW_BLOCK);
+    global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS;
     real sum[ROW_BLOCK];
-    if (rows == ROW_BLOCK) {
 #pragma unroll
-      for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = (real)head[r * FEATURES_AND_ONE + FEATURES];
-      for (int f = 0; f < FEATURES; ++f) {
-        const real feature = features[f * TILE_BLOCKS];
+    for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = (real)head[r * FEATURE_FLOATS + FEATURES];
+    for (int f = 0; f < FEATURES; ++f) {
+      const real feature = features[f * TILE_BLOCKS];
 #pragma unroll
-        for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = FMA((real)head[r * FEATURES_AND_ONE + f], feature, sum[r]);
-      }
-#pragma unroll
-      for (int r = 0; r < ROW_BLOCK; ++r) theta[(row + r) * TILE_BLOCKS] = sum[r];
-    } else {
-      for (int r = 0; r < rows; ++r) {
-        sum[0] = (real)head[r * FEATURES_AND_ONE + FEATURES];
-        for (int f = 0; f < FEATURES; ++f)
-          sum[0] = FMA((real)head[r * FEATURES_AND_ONE + f], features[f * TILE_BLOCKS], sum[0]);
-        theta[(row + r) * TILE_BLOCKS] = sum[0];
-      }
+      for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = FMA((real)head[r * FEATURE_FLOATS + f], feature, sum[r]);
     }
+#pragma unroll
+    for (int r = 0; r < ROW_BLOCK; ++r) theta[(row + r) * TILE_BLOCKS] = sum[r];
   }
   for (int row = HEAD_ROWS; row < THETA_ROWS; ++row)
     theta[row * TILE_BLOCKS] = (real)parameters[AT_BASES + row - HEAD_ROWS];
 }
 
-/* Gradients by the grid's feature rows of VEC columns. */
+/* Gradients by the grid's feature rows of VEC columns, times `scale`. */
 void heads_backward(global const float *restrict parameters, local const real *restrict delta_theta,
-                    real delta_feature[GRID_ROWS]) {
-  for (int f = 0; f < GRID_ROWS; ++f) delta_feature[f] = (real)0.0f;
-  for (int row = 0; row < HEAD_ROWS; ++row) {
-    global const float *restrict head = parameters + AT_HEADS + row * FEATURES_AND_ONE;
-    const real delta = delta_theta[row * TILE_BLOCKS];
-    for (int f = 0; f < GRID_ROWS; ++f) delta_feature[f] = FMA((real)head[f], delta, delta_feature[f]);
+                    const float scale, float *delta_feature) {
+  for (int block = 0; block < GRID_ROWS; block += GRID_BLOCK) {
+    const int f = min(block, GRID_ROWS - GRID_BLOCK);
+    real sum[GRID_BLOCK];
+#pragma unroll
+    for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = (real)0.0f;
+    for (int row = 0; row < HEAD_ROWS; ++row) {
+      global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS + f;
+      const real delta = delta_theta[row * TILE_BLOCKS];
+#pragma unroll
+      for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = FMA((real)head[k], delta, sum[k]);
+    }
+#pragma unroll
+    for (int k = 0; k < GRID_BLOCK; ++k) STORE(sum[k] * scale, delta_feature + (f + k) * VEC);
   }
 }
 
@@ -95,7 +106,7 @@ real sample_gradient(const real u, const real v, const real target[CHANNELS], co
 #pragma unroll 4
     for (int i = 0; i < HIDDEN1; ++i) {
 #pragma unroll
-      for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = FMA((real)w2[(j + k) * HIDDEN1 + i], h1[i], z[k]);
+      for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = FMA((real)w2[(j + k) * W2_STRIDE + i], h1[i], z[k]);
     }
 #pragma unroll
     for (int k = 0; k < NEURON_BLOCK; ++k) {
@@ -132,7 +143,7 @@ real sample_gradient(const real u, const real v, const real target[CHANNELS], co
 #pragma unroll 4
     for (int i = 0; i < HIDDEN1; ++i) {
 #pragma unroll
-      for (int k = 0; k < NEURON_BLOCK; ++k) delta1[i] = FMA((real)w2[(j + k) * HIDDEN1 + i], delta[k], delta1[i]);
+      for (int k = 0; k < NEURON_BLOCK; ++k) delta1[i] = FMA((real)w2[(j + k) * W2_STRIDE + i], delta[k], delta1[i]);
     }
   }
   for (int i = 0; i < HIDDEN1; ++i) {
@@ -152,50 +163,175 @@ real load_columns(global const float *restrict row, const uint column, const uin
   return LOAD(padded);
 }
 
+/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the present
+ * table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
+void load_features(const uint column, const uint end, const uint stride, global const float *restrict unit,
+                   global const float *restrict fixed_rows, global const uint *restrict corner,
+                   global const float *restrict table, local float *restrict rows,
+                   local float *restrict columns) {
+  float features[FEATURES * VEC];
+  real position[3];
+  for (uint axis = 0; axis < 3; ++axis) position[axis] = load_columns(unit + axis * (ulong)stride, column, end);
+  for (uint level = 0; level < GRID_LEVELS; ++level) {
+    bits unused[8];
+    real cell_weight[8];
+    grid_cell(level, position, unused, cell_weight);
+    float weight[8 * VEC];
+#pragma unroll
+    for (uint k = 0; k < 8; ++k) STORE(cell_weight[k], weight + k * VEC);
+    for (uint lane = 0; lane < VEC; ++lane) {
+      global const uint *restrict slot = corner + (min(column + lane, end - 1) * GRID_LEVELS + level) * 8;
+      entry_features sum = (entry_features)0.0f;
+#pragma unroll
+      for (uint k = 0; k < 8; ++k)
+        sum += weight[k * VEC + lane] * LOAD_ENTRY(table + slot[k] * (ulong)ENTRY_FLOATS);
+      float each[GRID_FEATURES];
+      STORE_ENTRY(sum, each);
+#pragma unroll
+      for (uint f = 0; f < GRID_FEATURES; ++f) features[(level * GRID_FEATURES + f) * VEC + lane] = each[f];
+    }
+  }
+  for (uint f = GRID_ROWS; f < FEATURES; ++f)
+    STORE(load_columns(fixed_rows + f * (ulong)stride, column, end), features + f * VEC);
+  for (uint f = 0; f < FEATURES; ++f) STORE(LOAD(features + f * VEC), rows + f * TILE);
+  for (uint k = 0; k < VEC; ++k) {
+    for (uint f = 0; f < FEATURES; ++f) columns[k * FEATURE_FLOATS + f] = features[f * VEC + k];
+    for (uint f = FEATURES; f < FEATURE_FLOATS; ++f) columns[k * FEATURE_FLOATS + f] = f == FEATURES ? 1.0f : 0.0f;
+  }
+}
+
+/* Lane k of the answer is the sum over the lanes of x[k]. */
+real sum_each(const real x[VEC]) {
+#if VEC == 1
+  return x[0];
+#else
+  real sums[VEC];
+#pragma unroll
+  for (int k = 0; k < VEC; ++k) sums[k] = x[k];
+  /* Neighbouring lanes are added and two vectors packed into one, until one vector is left. */
+#pragma unroll
+  for (int count = VEC / 2; count > 0; count /= 2) {
+#pragma unroll
+    for (int k = 0; k < count; ++k)
+      sums[k] = (real)(sums[2 * k].even, sums[2 * k + 1].even) + (real)(sums[2 * k].odd, sums[2 * k + 1].odd);
+  }
+  return sums[0];
+#endif
+}
+
+/* Adds to a group's own sums, or begins them. */
+void add_partial(const int is_first, const real value, global float *restrict own) {
+  STORE(is_first ? value : value + LOAD(own), own);
+}
+
+/* W2's gradient as sums over the tile, VEC neighbouring weights of a row at a time. */
+void w2_gradient(const int lane, const int is_first, const float scale, local const real *restrict h1,
+                 local const real *restrict delta2, global float *restrict own) {
+  for (int p = lane * VEC; p < HIDDEN2 * W2_STRIDE; p += LANES * VEC) {
+    local const real *restrict deltas = delta2 + p / W2_STRIDE * TILE_BLOCKS;
+    const int i = p % W2_STRIDE;
+    real sum[VEC];
+#pragma unroll
+    for (int k = 0; k < VEC; ++k) sum[k] = (real)0.0f;
+    for (int s = 0; s < SAMPLES_A_STEP; ++s) {
+      for (int t = 0; t < TILE_BLOCKS; ++t) {
+        const real delta = deltas[s * HIDDEN2 * TILE_BLOCKS + t];
+        /* Beyond the row's end its last weight is repeated; nothing reads the padding. */
+#pragma unroll
+        for (int k = 0; k < VEC; ++k)
+          sum[k] = FMA(delta, h1[(s * HIDDEN1 + min(i + k, HIDDEN1 - 1)) * TILE_BLOCKS + t], sum[k]);
+      }
+    }
+    add_partial(is_first, scale * sum_each(sum), own + p);
+  }
+}
+
+/* The heads' gradient, ROW_BLOCK rows by BLOCKS_AT_ONCE vectors of features at a time. */
+void heads_gradient(const int lane, const int is_first, const float scale,
+                    local const real *restrict feature_columns, local const float *restrict delta_theta,
+                    global float *restrict own) {
+  const int blocks = FEATURE_BLOCKS / BLOCKS_AT_ONCE;
+  for (int p = lane; p < (HEAD_ROWS + ROW_BLOCK - 1) / ROW_BLOCK * blocks; p += LANES) {
+    const int row = p / blocks * ROW_BLOCK;
+    const int block = p % blocks * BLOCKS_AT_ONCE;
+    real sum[ROW_BLOCK][BLOCKS_AT_ONCE];
+#pragma unroll
+    for (int r = 0; r < ROW_BLOCK; ++r) {
+#pragma unroll
+      for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = (real)0.0f;
+    }
+    for (int t = 0; t < TILE; ++t) {
+      real feature[BLOCKS_AT_ONCE];
+#pragma unroll
+      for (int k = 0; k < BLOCKS_AT_ONCE; ++k) feature[k] = feature_columns[t * FEATURE_BLOCKS + block + k];
+#pragma unroll
+      for (int r = 0; r < ROW_BLOCK; ++r) {
+        const real delta = (real)delta_theta[(row + r) * TILE + t];
+#pragma unroll
+        for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = FMA(delta, feature[k], sum[r][k]);
+      }
+    }
+    global float *restrict head = own + AT_HEADS + row * FEATURE_FLOATS + block * VEC;
+#pragma unroll
+    for (int r = 0; r < ROW_BLOCK; ++r) {
+      if (row + r < HEAD_ROWS) {
+#pragma unroll
+        for (int k = 0; k < BLOCKS_AT_ONCE; ++k)
+          add_partial(is_first, sum[r][k] * scale, head + r * FEATURE_FLOATS + k * VEC);
+      }
+    }
+  }
+}
+
+/* Gradients by the bases, and the loss. */
+void base_gradient(const int lane, const int is_first, const float scale,
+                   local const real *restrict delta_theta, local const real *restrict losses,
+                   global float *restrict own) {
+  for (int row = HEAD_ROWS + lane; row < THETA_ROWS; row += LANES) {
+    real sum = (real)0.0f;
+    for (int t = 0; t < TILE_BLOCKS; ++t) sum += delta_theta[row * TILE_BLOCKS + t];
+    global float *restrict base = own + AT_BASES + row - HEAD_ROWS;
+    *base = (is_first ? 0.0f : *base) + scale * sum_lanes(sum);
+  }
+  if (lane == 0) {
+    real sum = (real)0.0f;
+    for (int t = 0; t < TILE_BLOCKS; ++t) sum += losses[t];
+    own[AT_LOSS] = (is_first ? 0.0f : own[AT_LOSS]) + scale * sum_lanes(sum);
+  }
+}
+
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
     const uint sample, const uint first, const uint count, const uint stride,
-    global const float *restrict features, global const uint *restrict corner,
-    global const float *restrict corner_weight, global const float *restrict table,
-    global const float *restrict all_u, global const float *restrict all_v, global const float *restrict all_targets,
+    global const float *restrict features, global const float *restrict unit,
+    global const uint *restrict corner, global const float *restrict table, global const float *restrict all_u,
+    global const float *restrict all_v, global const float *restrict all_targets,
     global const float *restrict factor, global const float *restrict weights,
     global const float *restrict parameters, global float *restrict grid_gradient,
     global float *restrict partial) {
-  /* Features as rows of columns for the heads, and transposed as rows of features for their gradient. */
   local real feature_rows[FEATURES * TILE_BLOCKS];
   local real feature_columns[TILE * FEATURE_BLOCKS];
   local real theta[THETA_ROWS * TILE_BLOCKS];
-  local real delta_theta[THETA_ROWS * TILE_BLOCKS];
+  /* Whole blocks of rows are read, the last one's rest unused. */
+  local real delta_theta[(THETA_ROWS + ROW_BLOCK) * TILE_BLOCKS];
   local real h1[SAMPLES_A_STEP * HIDDEN1 * TILE_BLOCKS];
   local real delta2[SAMPLES_A_STEP * HIDDEN2 * TILE_BLOCKS];
   local real losses[TILE_BLOCKS];
+  if (get_group_id(0) < IDLE_GROUPS) return;
+  const uint group = (uint)get_group_id(0) - IDLE_GROUPS;
+  const uint groups = (uint)get_num_groups(0) - IDLE_GROUPS;
   const int lane = (int)get_local_id(0);
   const uint end = first + count;
   const uint tiles = (count + TILE - 1) / TILE;
   const float per_sample = 1.0f / ((float)count * SAMPLES_A_STEP * CHANNELS);
-  global float *restrict own = partial + get_group_id(0) * (ulong)PARTIAL_FLOATS;
+  global float *restrict own = partial + group * (ulong)PARTIAL_FLOATS;
 
-  for (uint tile = (uint)get_group_id(0); tile < tiles; tile += (uint)get_num_groups(0)) {
+  for (uint tile = group; tile < tiles; tile += groups) {
     /* A parameter is summed by the same work-item in every tile, so the first tile can simply set it. */
-    const int is_first = tile == get_group_id(0);
+    const int is_first = tile == group;
     for (int t = lane; t < TILE_BLOCKS; t += LANES) {
       const uint column = first + tile * TILE + (uint)t * VEC;
-      /* Grid rows from the present table, the rest as encoded once; both as rows of columns and
-       * transposed, column after column. */
-      local float *restrict rows = (local float *)feature_rows + t * VEC;
-      local float *restrict transposed = (local float *)feature_columns + t * VEC * FEATURE_FLOATS;
-      for (uint k = 0; k < VEC; ++k, transposed += FEATURE_FLOATS) {
-        const uint own_column = min(column + k, end - 1);
-        for (uint level = 0; level < GRID_LEVELS; ++level) {
-          float sum[GRID_FEATURES];
-          STORE_ENTRY(grid_features(level, own_column, stride, corner, corner_weight, table), sum);
-          for (uint f = 0; f < GRID_FEATURES; ++f)
-            transposed[level * GRID_FEATURES + f] = rows[(level * GRID_FEATURES + f) * TILE + k] = sum[f];
-        }
-        for (uint f = GRID_ROWS; f < FEATURES; ++f)
-          transposed[f] = rows[f * TILE + k] = features[f * (ulong)stride + own_column];
-        transposed[FEATURES] = 1.0f;
-        for (int f = FEATURES + 1; f < FEATURE_FLOATS; ++f) transposed[f] = 0.0f;
-      }
+      load_features(column, end, stride, unit, features, corner, table, (local float *)feature_rows + t * VEC,
+                    (local float *)feature_columns + t * VEC * FEATURE_FLOATS);
       heads_forward(parameters, feature_rows + t, theta + t);
       for (int row = 0; row < THETA_ROWS; ++row) delta_theta[row * TILE_BLOCKS + t] = (real)0.0f;
 
@@ -218,115 +354,18 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
       }
       losses[t] = loss;
 
-      real delta_feature[GRID_ROWS];
-      heads_backward(parameters, delta_theta + t, delta_feature);
-      for (uint f = 0; f < GRID_ROWS; ++f) {
-        float columns[VEC];
-        STORE(delta_feature[f] * per_sample, columns);
-        for (uint k = 0; k < VEC && column + k < end; ++k)
-          grid_gradient[(ulong)(column + k) * GRID_ROWS + f] = columns[k];
-      }
+      float delta_feature[GRID_ROWS * VEC];
+      heads_backward(parameters, delta_theta + t, per_sample, delta_feature);
+      for (uint k = 0; k < VEC && column + k < end; ++k)
+        for (uint f = 0; f < GRID_ROWS; ++f)
+          grid_gradient[(column + k - first) * GRID_ROWS + f] = delta_feature[f * VEC + k];
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int p = lane; p < HIDDEN2 * HIDDEN1; p += LANES) {
-      local const real *restrict deltas = delta2 + p / HIDDEN1 * TILE_BLOCKS;
-      local const real *restrict inputs = h1 + p % HIDDEN1 * TILE_BLOCKS;
-      real sum = (real)0.0f;
-      for (int s = 0; s < SAMPLES_A_STEP; ++s)
-        for (int t = 0; t < TILE_BLOCKS; ++t)
-          sum = FMA(deltas[s * HIDDEN2 * TILE_BLOCKS + t], inputs[s * HIDDEN1 * TILE_BLOCKS + t], sum);
-      own[p] = (is_first ? 0.0f : own[p]) + per_sample * sum_lanes(sum);
-    }
-    /* Heads: ROW_BLOCK rows by VEC features at a time, lanes of the vector along the features. */
-    local const float *restrict deltas = (local const float *)delta_theta;
-    for (int p = lane; p < (HEAD_ROWS + ROW_BLOCK - 1) / ROW_BLOCK * FEATURE_BLOCKS; p += LANES) {
-      const int row = p / FEATURE_BLOCKS * ROW_BLOCK;
-      const int block = p % FEATURE_BLOCKS;
-      const int f = block * VEC;
-      const int rows = min(ROW_BLOCK, HEAD_ROWS - row);
-      real sum[ROW_BLOCK];
-#pragma unroll
-      for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = (real)0.0f;
-      for (int t = 0; t < TILE; ++t) {
-        const real feature = feature_columns[t * FEATURE_BLOCKS + block];
-#pragma unroll
-        for (int r = 0; r < ROW_BLOCK; ++r)
-          sum[r] = FMA((real)deltas[(row + min(r, rows - 1)) * TILE + t], feature, sum[r]);
-      }
-      for (int r = 0; r < rows; ++r) {
-        float each[VEC];
-        STORE(sum[r] * per_sample, each);
-        global float *restrict head = own + AT_HEADS + (row + r) * FEATURES_AND_ONE;
-        for (int k = 0; k < VEC && f + k < FEATURES_AND_ONE; ++k) 
-          head[f + k] = (is_first ? 0.0f : head[f + k]) + each[k];
-      }
-    }
-    for (int row = HEAD_ROWS + lane; row < THETA_ROWS; row += LANES) {
-      real sum = (real)0.0f;
-      for (int t = 0; t < TILE_BLOCKS; ++t) sum += delta_theta[row * TILE_BLOCKS + t];
-      global float *restrict base = own + AT_BASES + row - HEAD_ROWS;
-      *base = (is_first ? 0.0f : *base) + per_sample * sum_lanes(sum);
-    }
-    if (lane == 0) {
-      real sum = (real)0.0f;
-      for (int t = 0; t < TILE_BLOCKS; ++t) sum += losses[t];
-      own[AT_LOSS] = (is_first ? 0.0f : own[AT_LOSS]) + per_sample * sum_lanes(sum);
-    }
+    w2_gradient(lane, is_first, per_sample, h1, delta2, own);
+    heads_gradient(lane, is_first, per_sample, feature_columns, (local const float *)delta_theta, own);
+    base_gradient(lane, is_first, per_sample, delta_theta, losses, own);
     barrier(CLK_LOCAL_MEM_FENCE);
-  }
-}
-
-/* One Adam step (Kingma and Ba 2015, algorithm 1) and the moving average of the value. */
-#define DEFINE_ADAM_STEP(name, numbers, load, store)                                                    \
-  void name(const numbers gradient, const float rate, const float correction1, const float correction2, \
-            const float average_decay, global float *value, global float *moment1, global float *moment2, \
-            global float *average) {                                                                    \
-    const numbers m1 = ADAM_BETA1 * load(moment1) + (1.0f - ADAM_BETA1) * gradient;                     \
-    const numbers m2 = ADAM_BETA2 * load(moment2) + (1.0f - ADAM_BETA2) * gradient * gradient;          \
-    const numbers step = rate * (m1 * correction1) / (sqrt(m2 * correction2) + ADAM_EPSILON);           \
-    const numbers updated = load(value) - step;                                                         \
-    store(updated + average_decay * (load(average) - updated), average);                                \
-    store(m1, moment1);                                                                                 \
-    store(m2, moment2);                                                                                 \
-    store(updated, value);                                                                              \
-  }
-
-DEFINE_ADAM_STEP(adam_step_network, real, LOAD, STORE)
-DEFINE_ADAM_STEP(adam_step_entry, entry_features, LOAD_ENTRY, STORE_ENTRY)
-
-kernel void adam(const uint groups, const uint first_entry, const uint entry_count, const float rate,
-                 const float correction1, const float correction2, const float average_decay,
-                 global const float *restrict partial, global float *restrict parameters,
-                 global float *restrict moment1, global float *restrict moment2,
-                 global float *restrict average, global float *restrict loss,
-                 global const uint *restrict entries, global const uint *restrict starts,
-                 global const uint *restrict columns, global const float *restrict weights,
-                 global const float *restrict grid_gradient, global float *restrict table,
-                 global float *restrict table_moment1, global float *restrict table_moment2,
-                 global float *restrict table_average) {
-  const uint work_item = (uint)get_global_id(0);
-  if (work_item < PARTIAL_FLOATS / VEC) {
-    const uint p = work_item * VEC;
-    real gradient = (real)0.0f;
-    for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)PARTIAL_FLOATS + p);
-    adam_step_network(gradient, rate, correction1, correction2, average_decay, parameters + p, moment1 + p,
-                      moment2 + p, average + p);
-    if (work_item == 0) {
-      float sum = 0.0f;
-      for (uint g = 0; g < groups; ++g) sum += partial[g * (ulong)PARTIAL_FLOATS + AT_LOSS];
-      *loss = sum;
-    }
-  } else if (work_item - PARTIAL_FLOATS / VEC < entry_count) {
-    const uint item = first_entry + work_item - PARTIAL_FLOATS / VEC;
-    const uint entry = entries[item];
-    global const float *restrict level = grid_gradient + entry / GRID_ENTRIES * GRID_FEATURES;
-    entry_features gradient = (entry_features)0.0f;
-    for (uint k = starts[item]; k < starts[item + 1]; ++k)
-      gradient += weights[k] * LOAD_ENTRY(level + columns[k] * (ulong)GRID_ROWS);
-    const ulong at = (ulong)entry * GRID_FEATURES;
-    adam_step_entry(gradient, rate, correction1, correction2, average_decay, table + at, table_moment1 + at,
-                    table_moment2 + at, table_average + at);
   }
 }
 

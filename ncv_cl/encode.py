@@ -98,6 +98,11 @@ class GridCube:
         lower = 0.5 * (bounds[0] + bounds[1]) - 0.5 * side
         return cls((float(lower[0]), float(lower[1]), float(lower[2])), side)
 
+    @property
+    def as_arguments(self) -> tuple[float, float, float, float]:
+        """As encode.cl takes it: the lower corner, and one over the side."""
+        return *self.lower, 1.0 / self.side
+
 
 class Encoder:
     """Encodes shading points, column after column in a given order, into feature rows.
@@ -122,27 +127,113 @@ class Encoder:
         # Whole vectors can be loaded at the end of each row.
         self.stride = -(-self.count // device.vector_width) * device.vector_width
         self.features = HostArray(device, (encoding.feature_count, self.stride), np.float32)
-        self.features.fill(0.0)
-        corners = (encoding.grid_levels * 8, self.stride)
-        self.corner = HostArray(device, corners, np.uint32)
-        self.weight = HostArray(device, corners, np.float32)
-        place = (self.count, self.stride, points.total)
-        kernel = self._program.kernel
-        if encoding.feature_count > encoding.grid_rows:
-            kernel("encode_fixed")(self.count, *place, order, points.surface, self.features)
-        kernel("grid_corners")(
+        self._unit = HostArray(device, (3, self.stride), np.float32)
+        self._items = self.stride // device.vector_width
+        self._corners = (encoding.grid_levels * 8, self.stride)
+        self._program.kernel("encode_fixed")(
+            self._items,
             self.count,
-            *place,
-            *cube.lower,
-            1.0 / cube.side,
+            self.stride,
+            points.total,
+            *cube.as_arguments,
             order,
             points.surface,
-            self.corner,
-            self.weight,
+            self._unit,
+            self.features,
         )
+
+    @property
+    def unit(self) -> HostArray:
+        """float32 (3, stride), the columns' positions relative to the cube."""
+        return self._unit
 
     def encode_grid(self, table: HostArray) -> None:
         """Refresh the grid's feature rows from `table`."""
         self._program.kernel("encode_grid")(
-            self.count, self.count, self.stride, self.corner, self.weight, table, self.features
+            self._items, self.count, self.stride, self._unit, table, self.features
+        )
+
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Table entry and trilinear weight of every corner of every level, each (levels * 8, count)."""
+        device = self.features.device
+        corner = HostArray(device, self._corners, np.uint32)
+        weight = HostArray(device, self._corners, np.float32)
+        self._program.kernel("grid_corners")(
+            self._items, self.count, self.stride, self._unit, corner, weight
+        )
+        return corner.read()[:, : self.count], weight.read()[:, : self.count]
+
+
+class TouchedTable:
+    """The hash grid's touched entries with what training keeps beside their values (adam.cl)."""
+
+    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray) -> None:
+        self._start, self._touched = start, touched
+        self._features = start.shape[1]
+        # A power of two: no entry lies across two cache lines.
+        self.entry_floats = 1 << (self._features + 1).bit_length()
+        self.state = HostArray(device, (len(touched), self.entry_floats), np.float32)
+        with self.state.mapped(write=True) as state:
+            state[:, : self._features] = start[touched]
+            state[:, self._features :] = 0.0
+
+    def read(self) -> np.ndarray:
+        """The whole table, untouched entries as they were."""
+        table = self._start.copy()
+        with self.state.mapped() as state:
+            table[self._touched] = state[:, : self._features]
+        return table
+
+
+class GridIndex:
+    """Which columns touch which table entry, for each minibatch: the hash grid's gather lists.
+
+    Attributes
+    ----------
+    touched : ndarray
+        The table entries that any column touches, in increasing order; the index counts only these.
+    corner : HostArray
+        uint32 (columns, levels * 8), the entries around each column.
+    batches : list of range
+        For each minibatch, its items in `entries` and `starts`.
+    arrays : tuple of HostArray
+        entries, starts, places and weights as adam.cl reads them.
+    """
+
+    def __init__(
+        self, device: Device, encoder: Encoder, encoding: Encoding, batches: list[range]
+    ) -> None:
+        corner, weight = encoder.corners()
+        is_touched = np.zeros(encoding.table_shape[0], bool)
+        is_touched[corner.ravel()] = True
+        self.touched = np.flatnonzero(is_touched)
+        number = np.cumsum(is_touched, dtype=np.uint32) - np.uint32(1)
+        corner = number[corner]
+        self.corner = HostArray.of(device, np.ascontiguousarray(corner.T))
+        levels = np.arange(encoding.grid_levels, dtype=np.uint32)
+        level_place = np.repeat(levels * np.uint32(encoding.grid_features), 8)
+        entries, starts, places, weights = [], [], [], []
+        self.batches: list[range] = []
+        touched = pairs = 0
+        for batch in batches:
+            part = slice(batch.start, batch.stop)
+            flat = corner[:, part].ravel()
+            column_place = np.arange(len(batch), dtype=np.uint32) * np.uint32(encoding.grid_rows)
+            place = (level_place[:, None] + column_place).ravel()
+            # Entry and position in one number: plain sorting is far faster than finding a stable order.
+            numbers = np.arange(len(flat), dtype=np.uint64)
+            keys = np.sort((flat.astype(np.uint64) << np.uint64(32)) | numbers)
+            order = keys.astype(np.uint32)
+            ordered = (keys >> np.uint64(32)).astype(np.uint32)
+            first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+            entries.append(ordered[first])
+            starts.append((first + pairs).astype(np.uint32))
+            places.append(place[order])
+            weights.append(weight[:, part].ravel()[order])
+            self.batches.append(range(touched, touched + len(first)))
+            touched += len(first)
+            pairs += len(flat)
+        starts.append(np.array([pairs], np.uint32))
+        self.arrays = tuple(
+            HostArray.of(device, np.concatenate(parts)) for parts in (entries, starts, places, weights)
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .device import Device, HostArray
-from .encode import Encoder, Encoding, GridCube
+from .encode import Encoding, GridCube
 from .points import ShadingPoints
 from .program import Program, build
 
@@ -105,6 +105,15 @@ class NetworkDescription:
         start = rows - self.head_rows
         return bases[start : start + count].reshape(shape)
 
+    def fold_layout(self, width: int) -> tuple[dict[str, int], int]:
+        """First row of each modulated group, padded to vectors of `width`, and the number of rows."""
+        offsets, row = {}, 0
+        for group in GROUPS:
+            if group in self.modulated:
+                offsets[group] = row
+                row += -(-math.prod(self.group_shapes[group]) // width) * width
+        return offsets, row
+
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
         shapes = self.group_shapes
@@ -123,6 +132,56 @@ class NetworkDescription:
             "CHANNELS": self.channels,
             "DEMODULATED": int(self.demodulated),
         }
+
+
+class PaddedLayout:
+    """A network's parameter vector as train.cl holds it: every row padded to vectors of `width`."""
+
+    def __init__(self, description: NetworkDescription, width: int) -> None:
+        def padded(floats: int) -> int:
+            return -(-floats // width) * width
+
+        self._description = description
+        first, second = description.hidden
+        self.w2_stride = padded(first)
+        self.feature_floats = padded(description.encoding.feature_count + 1)
+        self.heads_at = second * self.w2_stride
+        self.bases_at = self.heads_at + description.head_rows * self.feature_floats
+        self.loss_at = self.bases_at + description.base_rows
+        self.size = padded(self.loss_at + 1)
+
+    def defines(self) -> dict[str, int | str]:
+        """The `-D` constants of train.cl and adam.cl about it."""
+        return {
+            "W2_STRIDE": self.w2_stride,
+            "FEATURE_FLOATS": self.feature_floats,
+            "AT_HEADS": self.heads_at,
+            "AT_BASES": self.bases_at,
+            "AT_LOSS": self.loss_at,
+            "PARTIAL_FLOATS": f"{self.size}u",
+        }
+
+    def _views(self, padded: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        w2 = padded[: self.heads_at].reshape(-1, self.w2_stride)
+        heads = padded[self.heads_at : self.bases_at].reshape(-1, self.feature_floats)
+        description = self._description
+        columns = description.encoding.feature_count + 1
+        return (
+            w2[:, : description.hidden[0]],
+            heads[:, :columns],
+            padded[self.bases_at : self.loss_at],
+        )
+
+    def pack(self, parameters: np.ndarray) -> np.ndarray:
+        """The padded vector of a plain one."""
+        padded = np.zeros(self.size, np.float32)
+        for view, part in zip(self._views(padded), self._description.unpack(parameters), strict=True):
+            view[...] = part
+        return padded
+
+    def unpack(self, padded: np.ndarray) -> np.ndarray:
+        """The plain vector of a padded one."""
+        return np.concatenate([view.ravel() for view in self._views(padded)])
 
 
 @dataclass(frozen=True)
@@ -251,7 +310,6 @@ class FoldedNetwork:
         description = network.description
         if description.demodulated != (factor is not None):
             raise NetworkError("a demodulated network needs the points' factors, another takes none")
-        parameters = HostArray.of(device, network.parameters)
         self.groups: dict[str, HostArray] = {}
         for group, shape in description.group_shapes.items():
             if group in description.modulated:
@@ -259,24 +317,35 @@ class FoldedNetwork:
             else:
                 self.groups[group] = HostArray.of(device, description.base(network.parameters, group))
         self._w2 = HostArray.of(device, description.unpack(network.parameters)[0])
-        table = HostArray.of(device, network.table)
-        for first in range(0, points.active, POINTS_PER_FOLD):
-            count = min(POINTS_PER_FOLD, points.active - first)
-            order = HostArray.of(device, np.arange(first, first + count, dtype=np.uint32))
-            encoder = Encoder(device, description.encoding, points, network.cube, order)
-            encoder.encode_grid(table)
-            self.program().kernel("fold")(
-                -(-count // device.vector_width),
-                count,
-                encoder.stride,
-                first,
-                points.active,
-                encoder.features,
-                parameters,
-                factor if factor is not None else parameters,
-                *(self.groups[group] for group in GROUPS),
-            )
-            device.queue.finish()
+        self._fold(points, factor)
+
+    def _fold(self, points: ShadingPoints, factor: HostArray | None) -> None:
+        device, network = self.device, self.network
+        description, width = network.description, device.vector_width
+        offsets, rows = description.fold_layout(width)
+        _, heads, _ = description.unpack(network.parameters)
+        transposed = np.zeros((heads.shape[1], rows), np.float32)
+        for group, start in offsets.items():
+            first, count = description.group_rows[group], math.prod(description.group_shapes[group])
+            transposed[:, start : start + count] = heads[first : first + count].T
+        defines = {
+            **description.defines(),
+            "FOLD_ROWS": rows,
+            **{f"FOLD_{group}": offset for group, offset in offsets.items()},
+        }
+        heads_array = HostArray.of(device, transposed)
+        build(device, ("common", "surface", "encode", "fold"), defines).kernel("fold")(
+            -(-points.active // width),
+            points.active,
+            points.total,
+            *network.cube.as_arguments,
+            points.surface,
+            HostArray.of(device, network.table),
+            heads_array,
+            factor if factor is not None else heads_array,
+            *(self.groups[group] for group in GROUPS),
+        )
+        device.queue.finish()
 
     @property
     def arrays(self) -> tuple[HostArray, ...]:

@@ -9,17 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from .device import Device, HostArray
-from .encode import Encoder
-from .network import Network
+from .encode import Encoder, GridIndex, TouchedTable
+from .network import Network, PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
 from .samples import NO_RAY, Batch
 
 # Bytes of local memory that the gradient kernel may use; every GPU has this much.
 LOCAL_BYTES = 48 << 10
-# On CPUs local memory is cache; a tile should stay in the second level.
+# On CPUs local memory is cache, and small tiles share a step's columns among more threads.
 CPU_LOCAL_BYTES = 256 << 10
+CPU_MAX_TILE = 16
 MAX_TILE = 64
+# PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
+# first thread would get too many, were its first ones not empty.
+CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
 
@@ -40,8 +44,12 @@ class TrainSettings:
         Adam's step size at first and, after a cosine decay, at last.
     beta1, beta2, epsilon : float
         Adam's constants.
+    table_rate : float
+        Step size of the hash grid's table as a multiple of the network's.
+    table_beta2 : float
+        Weight of the past in the second moment of a table entry.
     average_decay : float
-        Weight of the past in the moving average of all parameters; the average is what is used.
+        Weight of the past in the moving average of the network's parameters, which is what is used.
     weight_power : float
         Demodulated networks: samples weigh as this power of the point's factor.
     """
@@ -54,6 +62,8 @@ class TrainSettings:
     beta1: float = 0.9
     beta2: float = 0.99
     epsilon: float = 1e-8
+    table_rate: float = 5.0
+    table_beta2: float = 0.95
     average_decay: float = 0.99
     weight_power: float = 1.0
 
@@ -135,16 +145,18 @@ class Trainer:
         batches = max(1, round(count / settings.batch))
         edges = np.linspace(0, count, batches + 1).astype(int)
         self._batches = [range(a, b) for a, b in itertools.pairwise(edges)]
-        self._index = GridIndex(device, self._encoder, self._batches)
+        self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
 
+        self._layout = PaddedLayout(description, device.vector_width)
+        self._parameters = _Averaged(device, self._layout.pack(network.parameters))
+        self._table = TouchedTable(device, network.table, self._index.touched)
         self._program = self._build()
-        self._parameters = _Averaged(device, np.pad(network.parameters, (0, self._padding)))
-        self._table = _Averaged(device, network.table)
-        self._partial = HostArray(device, (GROUPS, self._parameters.value.shape[0]), np.float32)
+        self._partial = HostArray(device, (GROUPS, self._layout.size), np.float32)
         self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
         stride, channels = self._encoder.stride, description.channels
-        self._grid_gradient = HostArray(device, (stride, description.encoding.grid_rows), np.float32)
+        largest = max(map(len, self._batches))
+        self._grid_gradient = HostArray(device, (largest, description.encoding.grid_rows), np.float32)
         self._u = HostArray(device, (samples, stride), np.float32)
         self._v = HostArray(device, (samples, stride), np.float32)
         self._target = HostArray(device, (samples, channels, stride), np.float32)
@@ -207,7 +219,7 @@ class Trainer:
     def network(self) -> Network:
         """The network with the moving averages of its parameters, in the integrand's own units."""
         description = self._start.description
-        parameters = self._parameters.average.read()[: description.parameter_count]
+        parameters = self._layout.unpack(self._parameters.average.read())
         if not description.demodulated:
             rows, shapes = description.group_rows, description.group_shapes
             _, heads, bases = description.unpack(parameters)
@@ -218,7 +230,12 @@ class Trainer:
                     heads[part] *= self._scale
                 else:
                     bases[part.start - len(heads) : part.stop - len(heads)] *= self._scale
-        return Network(description, parameters, self._table.average.read(), self._start.cube)
+        return Network(description, parameters, self._table.read(), self._start.cube)
+
+    def samples_of(self, network: Network) -> TrainingSamples:
+        """The samples stored last, with features as `network`, a result of this training, sees them."""
+        self._encoder.encode_grid(HostArray.of(self.device, network.table))
+        return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def samples_of(self, network: Network) -> TrainingSamples:
         """The samples stored last, with features as `network`, a result of this training, sees them."""
@@ -236,20 +253,18 @@ class Trainer:
 
     def _step(self, sample: int, number: int, total: int) -> None:
         settings, encoder, columns = self.settings, self._encoder, self._batches[number]
-        parameters, table = self._parameters, self._table
-        tiles = -(-len(columns) // self._tile)
-        groups = min(GROUPS, tiles)
-        lanes = self.device.lanes
+        parameters, device = self._parameters, self.device
+        groups = min(GROUPS, -(-len(columns) // self._tile))
         self._program.kernel("gradients")(
-            groups * lanes,
+            (groups + self._idle_groups) * device.lanes,
             sample,
             columns.start,
             len(columns),
             encoder.stride,
             encoder.features,
-            encoder.corner,
-            encoder.weight,
-            table.value,
+            encoder.unit,
+            self._index.corner,
+            self._table.state,
             self._u,
             self._v,
             self._target,
@@ -258,13 +273,15 @@ class Trainer:
             parameters.value,
             self._grid_gradient,
             self._partial,
-            group=lanes,
+            group=device.lanes,
         )
         self._steps += 1
         step = self._steps
         decay = 0.5 * (1.0 + math.cos(math.pi * min(step / total, 1.0)))
+        rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
         adam = (
-            settings.final_rate + (settings.rate - settings.final_rate) * decay,
+            rate,
+            rate * settings.table_rate,
             1.0 / (1.0 - settings.beta1**step),
             1.0 / (1.0 - settings.beta2**step),
             # A short memory at first, or the average would remember the random start.
@@ -272,31 +289,31 @@ class Trainer:
         )
         entries = self._index.batches[number]
         self._program.kernel("adam")(
-            self._partial.shape[1] // self.device.vector_width + len(entries),
+            (self._layout.size + len(entries) - 1) // device.vector_width + 1,
             groups,
             entries.start,
-            len(entries),
+            entries.stop,
             *adam,
             self._partial,
             *parameters.arrays,
             self._loss,
             *self._index.arrays,
             self._grid_gradient,
-            *table.arrays,
+            self._table.state,
         )
 
     def _build(self) -> Program:
         description, settings, device = self._start.description, self.settings, self.device
-        features = description.encoding.feature_count
+        features, layout = description.encoding.feature_count, self._layout
         vec = device.vector_width
-        feature_stride = -(-(features + 1) // vec) * vec
         rows = description.head_rows + description.base_rows
         hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
-        floats_a_column = features + feature_stride + 2 * rows + hidden + 1
+        floats_a_column = features + layout.feature_floats + 2 * rows + hidden + 1
         available = device.cl_device.local_mem_size
         budget = min(CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES, available)
+        largest = CPU_MAX_TILE if device.lanes == 1 else MAX_TILE
         self._tile = vec
-        while 8 * self._tile * floats_a_column <= budget and self._tile < MAX_TILE:
+        while 8 * self._tile * floats_a_column <= budget and self._tile < largest:
             self._tile *= 2
         if 4 * self._tile * floats_a_column > available:
             raise MemoryError(
@@ -304,22 +321,21 @@ class Trainer:
                 f"{4 * self._tile * floats_a_column} bytes of local memory, but {device.name} has "
                 f"{available}: use a narrower network or fewer modulated groups"
             )
-        # Whole vectors, with room for the loss.
-        padded = -(-(description.parameter_count + 1) // vec) * vec
-        self._padding = padded - description.parameter_count
+        self._idle_groups = CPU_IDLE_GROUPS if device.is_cpu else 0
         defines = {
             **description.defines(),
+            **layout.defines(),
             "TILE": self._tile,
+            "IDLE_GROUPS": f"{self._idle_groups}u",
+            "ENTRY_FLOATS": f"{self._table.entry_floats}u",
             "SAMPLES_A_STEP": min(settings.samples_a_step, self.samples),
-            "FEATURE_BLOCKS": feature_stride // vec,
-            "PARTIAL_FLOATS": f"{padded}u",
-            "AT_LOSS": description.parameter_count,
             "ADAM_BETA1": f"{settings.beta1!r}f",
             "ADAM_BETA2": f"{settings.beta2!r}f",
+            "TABLE_BETA2": f"{settings.table_beta2!r}f",
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
             "NO_RAY": f"{NO_RAY}u",
         }
-        return build(device, ("common", "surface", "encode", "batch", "mlp", "train"), defines)
+        return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)
 
 
 class _Averaged:
@@ -334,37 +350,3 @@ class _Averaged:
     @property
     def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
         return self.value, self.moment1, self.moment2, self.average
-
-
-class GridIndex:
-    """Which columns touch which table entry, for each minibatch: the hash grid's gather lists.
-
-    Attributes
-    ----------
-    batches : list of range
-        For each minibatch, its items in `entries` and `starts`.
-    arrays : tuple of HostArray
-        entries, starts, columns, weights as train.cl reads them.
-    """
-
-    def __init__(self, device: Device, encoder: Encoder, batches: list[range]) -> None:
-        corner, weight = encoder.corner.read(), encoder.weight.read()
-        entries, starts, columns, weights = [], [], [], []
-        self.batches: list[range] = []
-        touched = pairs = 0
-        for batch in batches:
-            part = slice(batch.start, batch.stop)
-            flat = corner[:, part].ravel()
-            order = np.argsort(flat, kind="stable")
-            unique, first = np.unique(flat[order], return_index=True)
-            entries.append(unique)
-            starts.append((first + pairs).astype(np.uint32))
-            columns.append((order % len(batch) + batch.start).astype(np.uint32))
-            weights.append(weight[:, part].ravel()[order])
-            self.batches.append(range(touched, touched + len(unique)))
-            touched += len(unique)
-            pairs += len(flat)
-        starts.append(np.array([pairs], np.uint32))
-        self.arrays = tuple(
-            HostArray.of(device, np.concatenate(parts)) for parts in (entries, starts, columns, weights)
-        )

@@ -17,7 +17,14 @@ from ncv_cl.train import Trainer, TrainSettings
 # With so large an epsilon the first Adam step is the gradient times rate / epsilon.
 STEP = 100.0
 PLAIN = TrainSettings(
-    batch=1 << 20, samples_a_step=3, passes=1, rate=1e8, final_rate=1e8, epsilon=1e6, average_decay=0.0
+    batch=1 << 20,
+    samples_a_step=3,
+    passes=1,
+    rate=1e8,
+    final_rate=1e8,
+    table_rate=1.0,
+    epsilon=1e6,
+    average_decay=0.0,
 )
 
 

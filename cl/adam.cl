@@ -1,0 +1,89 @@
+/* Adam: one step of a network's parameters and of the hash grid's entries that a minibatch touched.
+ *
+ * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015, algorithm
+ * 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in order. Each further
+ * work-item updates VEC table entries. It gathers their gradients from an inverted index: pairs starts[i] ..
+ * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
+ * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
+ *
+ * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then the second moment
+ * that they share, then what share of that moment the gradients so far make up.
+ *
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers.
+ */
+
+#define AT_MOMENT GRID_FEATURES
+
+/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
+#define TINY 1e-30f
+
+/* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second moment for
+ * all its features and no first one: entries are touched too rarely for momentum. `rate`: step size. */
+void update_entries(const float rate, const uint first, const uint end, global const uint *restrict entries,
+                    global const uint *restrict starts, global const uint *restrict places,
+                    global const float *restrict weights, global const float *restrict grid_gradient,
+                    global float *restrict table) {
+  float gradient[VEC * GRID_FEATURES];
+  float squares[VEC];
+  float moment[VEC];
+  float share[VEC];
+  for (uint e = 0; e < VEC; ++e) {
+    const uint item = min(first + e, end - 1);
+    entry_features sum = (entry_features)0.0f;
+    for (uint k = starts[item]; k < starts[item + 1]; ++k) sum += weights[k] * LOAD_ENTRY(grid_gradient + places[k]);
+    STORE_ENTRY(sum, gradient + e * GRID_FEATURES);
+    squares[e] = 0.0f;
+    for (uint f = 0; f < GRID_FEATURES; ++f)
+      squares[e] += gradient[e * GRID_FEATURES + f] * gradient[e * GRID_FEATURES + f];
+    global const float *restrict own = table + entries[item] * (ulong)ENTRY_FLOATS;
+    moment[e] = own[AT_MOMENT];
+    share[e] = own[AT_MOMENT + 1];
+  }
+  /* The share of the present gradients in the moving average corrects its start from zero, entry by entry. */
+  const real moments = TABLE_BETA2 * LOAD(moment) + ((1.0f - TABLE_BETA2) / GRID_FEATURES * LOAD(squares) + TINY);
+  const real shares = TABLE_BETA2 * LOAD(share) + (1.0f - TABLE_BETA2);
+  float step[VEC];
+  STORE(rate / (sqrt(moments / shares) + ADAM_EPSILON), step);
+  STORE(moments, moment);
+  STORE(shares, share);
+  for (uint e = 0; e < VEC && first + e < end; ++e) {
+    global float *restrict own = table + entries[first + e] * (ulong)ENTRY_FLOATS;
+    STORE_ENTRY(LOAD_ENTRY(own) - step[e] * LOAD_ENTRY(gradient + e * GRID_FEATURES), own);
+    own[AT_MOMENT] = moment[e];
+    own[AT_MOMENT + 1] = share[e];
+  }
+}
+
+kernel void adam(const uint groups, const uint first_entry, const uint end_entry, const float rate,
+                 const float table_rate, const float correction1, const float correction2,
+                 const float average_decay, global const float *restrict partial,
+                 global float *restrict parameters, global float *restrict moment1,
+                 global float *restrict moment2, global float *restrict average,
+                 global float *restrict loss, global const uint *restrict entries,
+                 global const uint *restrict starts, global const uint *restrict places,
+                 global const float *restrict weights, global const float *restrict grid_gradient,
+                 global float *restrict table) {
+  const uint work_item = (uint)get_global_id(0);
+  if (work_item < PARTIAL_FLOATS / VEC) {
+    const uint p = work_item * VEC;
+    real gradient = (real)0.0f;
+    for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)PARTIAL_FLOATS + p);
+    const real m1 = ADAM_BETA1 * LOAD(moment1 + p) + ((1.0f - ADAM_BETA1) * gradient + TINY);
+    const real m2 = ADAM_BETA2 * LOAD(moment2 + p) + ((1.0f - ADAM_BETA2) * gradient * gradient + TINY);
+    const real value =
+        LOAD(parameters + p) - rate * (m1 * correction1) / (sqrt(m2 * correction2) + ADAM_EPSILON);
+    STORE(value, parameters + p);
+    STORE(m1, moment1 + p);
+    STORE(m2, moment2 + p);
+    STORE(value + average_decay * (LOAD(average + p) - value), average + p);
+    if (work_item == 0) {
+      float sum = 0.0f;
+      for (uint g = 0; g < groups; ++g) sum += partial[g * (ulong)PARTIAL_FLOATS + AT_LOSS];
+      *loss = sum;
+    }
+    return;
+  }
+  const uint first = first_entry + (work_item - PARTIAL_FLOATS / VEC) * VEC;
+  if (first < end_entry)
+    update_entries(table_rate, first, end_entry, entries, starts, places, weights, grid_gradient, table);
+}
