@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -61,20 +62,15 @@ class Allocation:
         """Samples of all points together."""
         return int(self.counts.sum())
 
-    def number_of_passes(self, samples_a_pass: int) -> int:
-        """How many passes of about `samples_a_pass` a point on average these samples take."""
-        return max(1, round(self.samples / max(len(self.counts), 1) / samples_a_pass))
-
-    def part(self, number: int, passes: int) -> list[Run]:
-        """Pass `number` of `passes`: the same share for all points, at least one sample at first."""
-        edges = np.flatnonzero(np.diff(self.counts, prepend=-1))
-        ends = [*edges[1:], len(self.counts)]
+    def part(self, begin: int, end: int, whole: int) -> list[Run]:
+        """From `begin` to `end` of `whole` parts of all points' samples; from 0 at least one each."""
+        firsts = np.flatnonzero(np.diff(self.counts, prepend=-1)).tolist()
         runs = []
-        for first, end in zip(edges, ends, strict=False):
+        for first, last in itertools.pairwise([*firsts, len(self.counts)]):
             count = int(self.counts[first])
-            samples = range(-(-count * number // passes), -(-count * (number + 1) // passes))
+            samples = range(-(-count * begin // whole), -(-count * end // whole))
             if samples:
-                runs.append(Run(range(int(first), int(end)), samples))
+                runs.append(Run(range(first, last), samples))
         return runs
 
 

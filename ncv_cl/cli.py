@@ -63,7 +63,12 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("scene", help="scene file (.toml)")
     add("--integrand", choices=sorted(INTEGRANDS), default="direct", help="what to integrate")
-    add("--method", choices=METHODS, default="ncv", help="neural control variate or Monte Carlo")
+    add(
+        "--method",
+        choices=METHODS,
+        default="auto",
+        help="neural control variate, Monte Carlo, or what a first pass predicts to be faster",
+    )
     add("--sampler", choices=SAMPLERS, default="sobol", help="points of the unit square")
     add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
     add(
@@ -76,6 +81,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--preset", choices=PRESETS, default="default", help="network and training schedule")
     add("--density", choices=DENSITIES, help="sampling of the residual (default: the preset's)")
     add("--allocation", choices=ALLOCATIONS, help="samples over the image (default: the preset's)")
+    add("--target-mse", type=float, metavar="E", help="end at this mean square error (spp: the most)")
+    add("--time-limit", type=float, metavar="S", help="end within so many seconds (spp: the most)")
     add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
     add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
@@ -231,6 +238,8 @@ def _render(options: argparse.Namespace) -> int:
         preset=options.preset,
         density=options.density,
         allocation=options.allocation,
+        target_mse=options.target_mse,
+        time_limit=options.time_limit,
         network=options.network,
         save_network=options.save_network,
         device=options.device,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from .device import Device, HostArray
 from .encode import Encoder
-from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription
+from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
 from .points import ShadingPoints
 from .program import Program, build
 from .samples import DENSITY_BINS, DENSITY_FLOATS
@@ -94,6 +95,35 @@ class DensityNetwork:
     feature_scale: np.ndarray
     unit: float
     settings: DensitySettings
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The numbers, as they are kept in a network's file."""
+        return {
+            "density_parameters": self.parameters,
+            "density_features": np.stack([self.feature_mean, self.feature_scale]),
+            "density_scalars": np.array(
+                [self.unit, self.settings.hidden, self.settings.uniform_share], np.float64
+            ),
+        }
+
+    @classmethod
+    def load(cls, path: str | Path) -> DensityNetwork | None:
+        """What `arrays` put into a network's file; None where there is none.
+
+        Raises
+        ------
+        NetworkError
+            If the arrays do not fit each other.
+        """
+        with np.load(path) as file:
+            if "density_parameters" not in file:
+                return None
+            parameters, features = file["density_parameters"], file["density_features"]
+            unit, hidden, uniform_share = file["density_scalars"].tolist()
+        settings = DensitySettings(hidden=int(hidden), uniform_share=uniform_share)
+        if parameters.shape != (settings.parameter_count(features.shape[1]),):
+            raise NetworkError(f"{path}: the density's arrays do not fit each other")
+        return cls(parameters, *features, unit, settings)
 
 
 @dataclass(frozen=True)

@@ -242,11 +242,23 @@ class Network:
                 f"{', '.join(inputs)}: train it on this scene and integrand"
             )
 
-    def save(self, path: str | Path) -> None:
-        """Write an ``.npz`` with the numbers and, as JSON, the description."""
+    def save(self, path: str | Path, **companions: np.ndarray) -> None:
+        """Write an ``.npz`` with the numbers and, as JSON, the description.
+
+        Parameters
+        ----------
+        companions : ndarray
+            Arrays of what was trained beside the network, kept in the same file under their names.
+        """
         text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})
         with open(path, "wb") as file:
-            np.savez(file, about=np.array(text), parameters=self.parameters, table=self.table)
+            np.savez(
+                file,
+                about=np.array(text),
+                parameters=self.parameters,
+                table=self.table,
+                **companions,
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> Network:

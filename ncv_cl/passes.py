@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +24,14 @@ class Target(NamedTuple):
     stream: Stream
 
 
+def pass_edges(samples: int, samples_a_pass: int, first_pass: int) -> list[int]:
+    """Where passes begin and end, in samples a point: one of its own length, the others alike."""
+    first = min(first_pass, samples)
+    rest = samples - first
+    others = max(1, round(rest / samples_a_pass)) if rest else 0
+    return [0, *(first + rest * k // others for k in range(others)), samples]
+
+
 class Passes:
     """Draws the samples of several estimates side by side.
 
@@ -34,8 +42,8 @@ class Passes:
     ----------
     device, source
     targets : sequence of Target
-    samples_a_pass : int
-        Samples a point, on average over the first target's points.
+    edges : sequence of int
+        Where the passes begin and end, in samples a point on average: 0, ..., all.
     density : HostArray, optional
         As `SampleSource.draw` takes it.
     watch : Stopwatch
@@ -47,14 +55,19 @@ class Passes:
         device: Device,
         source: SampleSource,
         targets: list[Target],
-        samples_a_pass: int,
+        edges: Sequence[int],
         density: HostArray | None,
         watch: Stopwatch,
     ) -> None:
         self._device, self._source, self._watch = device, source, watch
         self._targets, self._density = targets, density
         self._orders = [HostArray.of(device, target.allocation.chosen) for target in targets]
-        self.number = targets[0].allocation.number_of_passes(samples_a_pass)
+        self._edges = edges
+
+    @property
+    def number(self) -> int:
+        """How many passes there are."""
+        return len(self._edges) - 1
 
     def run(
         self,
@@ -62,26 +75,29 @@ class Passes:
         progress: bool = False,
         enough: Callable[[], bool] | None = None,
         first: int = 0,
+        last: int | None = None,
     ) -> int:
-        """Run passes `first` and on until there are no more, or `enough` says so after a pass.
+        """Run passes from `first` to before `last`, or until `enough` says so after one.
 
         Returns the number of passes done, those before `first` counted.
         """
-        total = sum(target.allocation.samples for target in self._targets)
+        last = self.number if last is None else min(last, self.number)
+        share = (self._edges[last] - self._edges[first]) / self._edges[-1]
+        total = round(share * sum(target.allocation.samples for target in self._targets))
         # tqdm's disable=None draws on terminals only.
         disable = None if progress else True
         with tqdm(total=total, unit="sample", unit_scale=True, desc=label, disable=disable) as bar:
-            for number in range(first, self.number):
+            for number in range(first, last):
                 for target, order in zip(self._targets, self._orders, strict=True):
                     self._run_one(target, order, number, bar)
                 if enough is not None and enough():
                     return number + 1
-        return self.number
+        return last
 
     def _run_one(self, target: Target, order: HostArray, number: int, bar: tqdm) -> None:
         estimator, allocation, stream = target
         drawn = np.zeros(len(allocation.counts))
-        for run in allocation.part(number, self.number):
+        for run in allocation.part(self._edges[number], self._edges[number + 1], self._edges[-1]):
             drawn[run.points.start : run.points.stop] = len(run.samples)
             for points, samples in self._source.parts(*run):
                 batch = self._source.draw(points, samples, stream, order, self._density)

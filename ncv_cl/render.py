@@ -6,23 +6,25 @@ import functools
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from .allocate import Allocation, allocate
+from .auto import FIRST_SAMPLES, Prediction, predict
 from .calibrate import calibrate, points_done_twice
 from .choose import choose_device
-from .density import Density, DensityTrainer, tabulate
+from .density import Density, DensityNetwork, tabulate
 from .device import Device, HostArray
-from .encode import GridCube, varying_inputs
+from .encode import varying_inputs
 from .estimate import Estimate, Estimator
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
 from .integrator import Integrator
-from .network import FoldedNetwork, Network, NetworkDescription
-from .passes import Passes, Target
+from .learn import learn, learn_density
+from .network import FoldedNetwork, Network
+from .passes import Passes, Target, pass_edges
 from .points import find_points
 from .presets import PRESETS
 from .report import metadata, statistics
@@ -32,15 +34,9 @@ from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .trace import Tracer
-from .train import Trainer, TrainSettings
 
-# Samples a point on average drawn at a time; Ctrl-C and progress act between such passes.
+# Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 RESIDUAL_PASS = 128
-TRAINING_PASS = 16
-# `train_spp` "auto": samples in all, since a network's need depends on the scene and not on pixels.
-AUTO_TRAINING_SAMPLES = 1 << 20
-# Training samples held at a time.
-TRAINING_SAMPLES_HELD = 1 << 23
 # Plain Monte Carlo that allocates: samples a point that it first learns the points' variances from.
 PILOT_SAMPLES = 64
 
@@ -58,6 +54,8 @@ def render(
     preset: str = "default",
     density: str | None = None,
     allocation: str | None = None,
+    target_mse: float | None = None,
+    time_limit: float | None = None,
     network: Network | str | Path | None = None,
     save_network: str | Path | None = None,
     device: Device | int | str | None = None,
@@ -74,8 +72,9 @@ def render(
         A scene, or the path of its TOML file.
     integrand : {"ao", "direct"} or Integrand
         Ambient occlusion or direct light; an `Integrand` object carries options.
-    method : {"ncv", "mc"}
-        Neural control variate, or plain Monte Carlo.
+    method : {"auto", "ncv", "mc"}
+        Neural control variate, plain Monte Carlo, or after a first pass of plain Monte Carlo whichever
+        is predicted to reach the error of the latter sooner.
     sampler : {"sobol", "independent"}
         Owen-scrambled Sobol points (one scramble a shading point) or independent ones.
     spp : int
@@ -99,10 +98,14 @@ def render(
         How `spp` is spent over the image: "magnitude" gives points samples by their predicted residual
         ("ncv"), "pilot" by their variance in a quarter of the samples, at most 64 ("mc"). By default
         what the preset says for "ncv", "uniform" for "mc".
+    target_mse, time_limit : float, optional
+        End after the pass in which the image's mean square error is estimated to be this, or before the
+        pass that would outlast so many seconds; `spp` is then the most that is drawn.
     network : Network, str or Path, optional
-        A trained network, or its file, to use instead of training one ("ncv").
+        A trained network, or its file, to use instead of training one ("ncv"). Only a file holds the
+        density as well.
     save_network : str or Path, optional
-        Where to write the trained network, ``.npz``.
+        Where to write the trained network and its density, ``.npz``.
     device : Device, int or str, optional
         As `choose_device` takes it.
     threads : int, optional
@@ -134,14 +137,16 @@ def render(
             raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
         integrand = INTEGRANDS[integrand]()
     settings = RenderSettings(
-        integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation
-    )
+        integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation,
+        target_mse, time_limit,
+    )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)
+    learned = None
     if network is not None and not isinstance(network, Network):
-        network = Network.load(network)
-    rendering = _Rendering(scene, settings, choose_device(device), threads, progress, stop)
-    return rendering.run(network, save_network, reference, started)
+        network, learned = Network.load(network), DensityNetwork.load(network)
+    rendering = _Rendering(scene, settings, choose_device(device), threads, progress, stop, started)
+    return rendering.run(network, learned, save_network, reference)
 
 
 @dataclass(frozen=True)
@@ -162,6 +167,39 @@ class _ControlVariate:
     density: Density | None
 
 
+@dataclass(frozen=True)
+class _Sampling:
+    """Estimates under way.
+
+    Attributes
+    ----------
+    passes : Passes
+    targets : list of Target
+        The estimate of all points, then that of the points done twice.
+    twice : ndarray, optional
+        Indices of the points done twice.
+    prior : ndarray, optional
+        As `calibrate` takes it.
+    """
+
+    passes: Passes
+    targets: list[Target]
+    twice: np.ndarray | None
+    prior: np.ndarray | None
+
+    def results(self) -> list[Estimate]:
+        """Estimates so far: of f and, with a control variate, of f − g."""
+        first = self.targets[0].estimator
+        results = [first.result(quantity) for quantity in range(first.quantities)]
+        if self.twice is None:
+            return results
+        second = self.targets[1].estimator
+        return [
+            calibrate(result, second.result(quantity), self.twice, self.prior)
+            for quantity, result in enumerate(results)
+        ]
+
+
 class _Rendering:
     """One call of `render`: the stages in their order, and what they share."""
 
@@ -173,6 +211,7 @@ class _Rendering:
         threads: int | None,
         progress: bool,
         stop: Callable[[], bool] | None,
+        started: float,
     ) -> None:
         self.scene = scene
         self.settings = settings
@@ -180,7 +219,10 @@ class _Rendering:
         self.watch = Stopwatch()
         self.stop = stop or (lambda: False)
         self.progress = progress
-        self.training: Estimate | None = None
+        self.started = started
+        # What was sampled before the estimate proper, and what was predicted from it.
+        self.before: Estimate | None = None
+        self.prediction: Prediction | None = None
         self.points_done_twice = 0
         with self.watch("scene"):
             self.tracer = Tracer(scene, threads)
@@ -207,68 +249,103 @@ class _Rendering:
     def run(
         self,
         network: Network | None,
+        density: DensityNetwork | None,
         save_network: str | Path | None,
         reference: np.ndarray | None,
-        started: float,
     ) -> Image:
         settings, points = self.settings, self.points
+        begun = None
+        # Who wants a network gets one.
+        if settings.method == "auto" and points.active and network is None and save_network is None:
+            begun = self._begin_plain()
         variate = None
-        if settings.method == "ncv" and points.active:
-            variate = self._control_variate(network, save_network)
-        allocation = self._allocate(variate)
-        plain, residual = self._estimate(allocation, variate)
+        if points.active and self._wants_network(network):
+            variate = self._control_variate(network, density, save_network)
+        if variate is None and begun is not None:
+            plain, residual = self._finish(begun, first=1)
+        else:
+            plain, residual = self._finish(self._begin(self._allocate(variate), variate))
         by_count = None if PRESETS[settings.preset].density else float(settings.spp)
         with self.watch("resolve"):
             image = resolve_image(
                 self.scene, settings.integrand, points, settings.size, settings.supersample,
-                plain, self.training, residual, variate.integral if variate else None, by_count,
+                plain, self.before, residual, variate.integral if variate else None, by_count,
             )  # fmt: skip
-        rays = self.source.rays
-        seconds = {**self.watch.seconds, "trace": rays.trace_seconds, "sample": rays.sample_seconds}
-        image.stats = {"seconds": {**seconds, "total": time.perf_counter() - started}}
-        image.stats |= statistics(
-            points, rays, self.device, plain, self.training, residual,
-            variate.folded.network if variate else None, self.points_done_twice,
-        )  # fmt: skip
+        self._describe(image, plain, residual, variate)
         if reference is not None:
             image.stats |= error_metrics(image.pixels, reference)
-        drawn, trained = (
-            float(one.samples.mean()) if one is not None and points.active else 0.0
-            for one in (plain, self.training)
-        )
-        image.metadata = metadata(self.scene, settings, self.device, drawn, trained)
         return image
+
+    def _wants_network(self, network: Network | None) -> bool:
+        if self.settings.method == "auto" and network is None and self.prediction is not None:
+            return self.prediction.method == "ncv"
+        return self.settings.method != "mc"
+
+    def _describe(
+        self,
+        image: Image,
+        plain: Estimate,
+        residual: Estimate | None,
+        variate: _ControlVariate | None,
+    ) -> None:
+        """Statistics and metadata."""
+        rays, active = self.source.rays, self.points.active
+        seconds = {**self.watch.seconds, "trace": rays.trace_seconds, "sample": rays.sample_seconds}
+        image.stats = {"seconds": {**seconds, "total": time.perf_counter() - self.started}}
+        image.stats |= statistics(
+            self.points, rays, self.device, plain, self.before, residual,
+            variate.folded.network if variate else None, self.points_done_twice,
+        )  # fmt: skip
+        image.stats["method"] = "ncv" if variate is not None else "mc"
+        if self.prediction is not None:
+            image.stats["auto"] = self.prediction.as_dict()
+        drawn, before = (
+            float(one.samples.mean()) if one is not None and active else 0.0
+            for one in (plain, self.before)
+        )
+        image.metadata = metadata(self.scene, self.settings, self.device, drawn, before)
 
     # ---- the control variate -------------------------------------------------------------------------
 
     def _control_variate(
-        self, network: Network | None, save_network: str | Path | None
+        self,
+        network: Network | None,
+        density: DensityNetwork | None,
+        save_network: str | Path | None,
     ) -> _ControlVariate | None:
-        """Train (or take) a network, fold and integrate it; None where training fails twice."""
-        settings = self.settings
+        """Train (or take) the networks, fold and integrate; None where training fails twice."""
+        settings, device = self.settings, self.device
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         trainer = None
         if network is None:
-            network, trainer = self._train(inputs)
+            learned = learn(
+                device, self.scene, self.source, settings, inputs, self._factor, self.watch, self.stop
+            )
+            network, trainer = learned.network, learned.trainer
+            # The first pass of "auto" has more samples than training.
+            self.before = self.before or learned.estimate
         else:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
             return None
-        if save_network is not None:
-            network.save(save_network)
         with self.watch("fold"):
-            folded = FoldedNetwork(self.device, network, self.points, self._factor(network.description))
-        density = None
-        if trainer is not None and (settings.uses_density or settings.allocates):
+            factor = self._factor(network.description.demodulated)
+            folded = FoldedNetwork(device, network, self.points, factor)
+        table = None
+        if settings.uses_density or settings.allocates:
             with self.watch("density"):
                 unit = self._unit()
-                learned = DensityTrainer(self.device, folded, trainer.samples_of(network), unit).fit()
-                density = tabulate(self.device, learned, network, self.points, unit)
-        return _ControlVariate(folded, self._integrate(folded), density)
+                if trainer is not None:
+                    density = learn_density(device, self.points, folded, trainer, unit)
+                if density is not None:
+                    table = tabulate(device, density, network, self.points, unit)
+        if save_network is not None:
+            network.save(save_network, **(density.arrays() if density is not None else {}))
+        return _ControlVariate(folded, self._integrate(folded), table)
 
-    def _factor(self, description: NetworkDescription) -> HostArray | None:
+    def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
-        return self._unshadowed_means if description.demodulated else None
+        return self._unshadowed_means if demodulated else None
 
     def _unit(self) -> np.ndarray | None:
         """Each point's scale of residuals: its unshadowed mean over the channels, if it is known."""
@@ -279,70 +356,6 @@ class _Rendering:
     @functools.cached_property
     def _unshadowed_means(self) -> HostArray:
         return self.source.unshadowed_means()
-
-    def _train(self, inputs: tuple[str, ...]) -> tuple[Network | None, Trainer | None]:
-        """Draw training samples and fit a network; without one where training fails twice."""
-        settings = self.settings
-        preset = PRESETS[settings.preset]
-        with self.watch("train"):
-            description = preset.description(settings.integrand, inputs)
-            factor = self._factor(description)
-            start = Network.random(description, GridCube.around(self.scene.bounds), settings.seed)
-            chosen, samples = settings.training_points(
-                self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
-            )
-        for slower in (1.0, 0.1):
-            rate = preset.settings.rate * slower
-            schedule = replace(
-                preset.settings, rate=rate, final_rate=min(rate, preset.settings.final_rate)
-            )
-            network, trainer = self._fit(start, schedule, chosen, samples, factor)
-            if network is not None:
-                return network, trainer
-        warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=5)
-        return None, None
-
-    def _fit(
-        self,
-        start: Network,
-        schedule: TrainSettings,
-        chosen: np.ndarray,
-        samples: int,
-        factor: HostArray | None,
-    ) -> tuple[Network | None, Trainer]:
-        """One attempt: the network, unless it diverged; leaves the training samples' own estimate."""
-        points, settings = self.points, self.settings
-        held = min(samples, max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
-        rounds = [range(s, s + held) for s in range(0, samples - held + 1, held)]
-        estimator = Estimator(self.device, points, settings.integrand.channels, chosen=chosen)
-        with self.watch("train"):
-            trainer = Trainer(self.device, start, points, schedule, chosen, held, settings.seed, factor)
-            order = HostArray.of(self.device, chosen)
-        losses = []
-        for held_samples in rounds:
-            for first in range(held_samples.start, held_samples.stop, TRAINING_PASS):
-                part = range(first, min(first + TRAINING_PASS, held_samples.stop))
-                for batch_points in self.source.batches(len(chosen)):
-                    batch = self.source.draw(batch_points, part, Stream.TRAINING, order)
-                    with self.watch("estimate"):
-                        estimator.add(batch)
-                    with self.watch("train"):
-                        trainer.store(batch, part.start - held_samples.start)
-                        self.device.queue.finish()
-                estimator.finish_pass(len(part))
-            with self.watch("train"):
-                losses.append(trainer.fit(len(rounds)))
-            if self.stop() or not np.isfinite(losses[-1]):
-                break
-        with self.watch("train"):
-            network = trainer.network()
-        diverged = not (
-            np.isfinite(network.parameters).all()
-            and np.isfinite(network.table).all()
-            and losses[-1] < 2.0 * losses[0]
-        )
-        self.training = estimator.result()
-        return None if diverged else network, trainer
 
     def _integrate(self, folded: FoldedNetwork) -> np.ndarray:
         """G of every active point, float32 (channels, points)."""
@@ -367,52 +380,83 @@ class _Rendering:
 
     def _allocate(self, variate: _ControlVariate | None) -> Allocation:
         """How many samples each point gets."""
-        settings, active = self.settings, self.points.active
-        everything = np.arange(active, dtype=np.uint32)
+        settings = self.settings
+        everything = Allocation.uniform(np.arange(self.points.active, dtype=np.uint32), settings.spp)
         if variate is not None and variate.density is not None and settings.allocates:
             return Allocation.of_counts(allocate(variate.density.magnitude, settings.spp))
-        if settings.allocation == "pilot" and active:
-            pilot = max(1, min(PILOT_SAMPLES, settings.spp // 4))
-            self.training = self._pilot(Allocation.uniform(everything, pilot))
-            deviation = np.sqrt(self.training.variance.sum(axis=0))
-            # What the pilot did not see may still be there: no point is left to much fewer samples.
-            fewest = 1 << (pilot.bit_length() - 1)
-            counts = allocate(deviation, max(1, settings.spp - pilot), fewest)
-            return Allocation.of_counts(counts)
-        return Allocation.uniform(everything, settings.spp)
+        if settings.allocation != "pilot" or not self.points.active:
+            return everything
+        pilot = max(1, min(PILOT_SAMPLES, settings.spp // 4))
+        estimator = Estimator(self.device, self.points, settings.integrand.channels)
+        targets = [Target(estimator, Allocation.uniform(everything.chosen, pilot), Stream.TRAINING)]
+        Passes(self.device, self.source, targets, [0, pilot], None, self.watch).run("pilot")
+        self.before = estimator.result()
+        # What the pilot did not see may still be there: no point is left to much fewer samples.
+        fewest = 1 << (pilot.bit_length() - 1)
+        deviation = np.sqrt(self.before.variance.sum(axis=0))
+        return Allocation.of_counts(allocate(deviation, max(1, settings.spp - pilot), fewest))
 
-    def _pilot(self, allocation: Allocation) -> Estimate:
-        estimator = Estimator(self.device, self.points, self.settings.integrand.channels)
-        targets = [Target(estimator, allocation, Stream.TRAINING)]
-        Passes(self.device, self.source, targets, RESIDUAL_PASS, None, self.watch).run("pilot")
-        return estimator.result()
-
-    def _estimate(
-        self, allocation: Allocation, variate: _ControlVariate | None
-    ) -> tuple[Estimate, Estimate | None]:
-        """Estimates of f and, with a control variate, of f − g."""
-        settings, points = self.settings, self.points
+    def _begin(
+        self,
+        allocation: Allocation,
+        variate: _ControlVariate | None,
+        first_pass: int | None = None,
+    ) -> _Sampling:
+        """Estimators of f and, with a control variate, of f − g, and the passes that fill them."""
+        settings, points, device = self.settings, self.points, self.device
         folded, density = (variate.folded, variate.density) if variate else (None, None)
-        estimator = Estimator(self.device, points, settings.integrand.channels, folded)
-        targets = [Target(estimator, allocation, Stream.RESIDUAL)]
-        if not points.active:
-            return estimator.result(), None
+        channels = settings.integrand.channels
+        targets = [Target(Estimator(device, points, channels, folded), allocation, Stream.RESIDUAL)]
+        twice = None
         # Independent samples tell their variance themselves; others need points that are done twice.
-        calibrated = settings.sampler != "independent"
-        if calibrated:
+        if points.active and settings.sampler != "independent":
             twice = points_done_twice(points.active, settings.seed)
-            self.points_done_twice = len(twice)
-            second = Estimator(self.device, points, settings.integrand.channels, folded, twice)
+            second = Estimator(device, points, channels, folded, twice)
             restricted = allocation.restricted(twice, points.active)
             targets.append(Target(second, restricted, Stream.CALIBRATION))
         table = density.table if density is not None and settings.uses_density else None
-        passes = Passes(self.device, self.source, targets, RESIDUAL_PASS, table, self.watch)
-        passes.run("render", self.progress, self.stop)
-        results = [estimator.result(quantity) for quantity in range(estimator.quantities)]
-        if calibrated:
-            prior = density.magnitude**2 if density is not None else None
-            results = [
-                calibrate(result, second.result(quantity), twice, prior)
-                for quantity, result in enumerate(results)
-            ]
-        return results[0], results[1] if folded is not None else None
+        prior = density.magnitude**2 if density is not None else None
+        edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass or RESIDUAL_PASS)
+        passes = Passes(device, self.source, targets, edges, table, self.watch)
+        return _Sampling(passes, targets, twice, prior)
+
+    def _begin_plain(self) -> _Sampling:
+        """The first pass of plain Monte Carlo, and from it what is to be expected."""
+        settings = self.settings
+        everything = np.arange(self.points.active, dtype=np.uint32)
+        sampling = self._begin(Allocation.uniform(everything, settings.spp), None, FIRST_SAMPLES)
+        started = time.perf_counter()
+        sampling.passes.run("first pass", self.progress, last=1)
+        seconds = time.perf_counter() - started
+        self.prediction = predict(
+            self.device, sampling.targets[0].estimator.result(), seconds, settings.spp
+        )
+        if self.prediction.method == "ncv":
+            self.before = sampling.results()[0]
+        return sampling
+
+    def _finish(self, sampling: _Sampling, first: int = 0) -> tuple[Estimate, Estimate | None]:
+        """Draw the passes from `first` on, until a target is met; estimates of f and of f − g."""
+        settings = self.settings
+        passes_began = time.perf_counter()
+
+        def enough() -> bool:
+            nonlocal passes_began
+            now = time.perf_counter()
+            last, passes_began = now - passes_began, now
+            if settings.time_limit is not None and now + last - self.started > settings.time_limit:
+                return True
+            if settings.target_mse is not None:
+                variance = sampling.results()[-1].variance_of_mean
+                pixels = settings.size[0] * settings.size[1]
+                # Errors of a pixel's points are independent; channels of one are all three.
+                error = float(variance.mean(axis=0).sum()) / (pixels * settings.supersample**4)
+                if error <= settings.target_mse:
+                    return True
+            return self.stop()
+
+        if self.points.active:
+            sampling.passes.run("render", self.progress, enough, first)
+        self.points_done_twice = 0 if sampling.twice is None else len(sampling.twice)
+        results = sampling.results()
+        return results[0], results[1] if len(results) > 1 else None

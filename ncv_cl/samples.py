@@ -18,6 +18,8 @@ from .trace import Tracer
 NO_RAY = 0xFFFFFFFF
 # Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
+# Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
+LONGEST_RUN = 1024
 # Cells an axis of a sampling density; a power of two.
 DENSITY_BINS = 8
 # Floats of one point's density: cumulative distributions of the strips, then of each strip's cells.
@@ -120,7 +122,7 @@ class SampleSource:
 
         self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
-        capacity = self.points_per_batch * self.stride
+        capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN)
         self._u = HostArray(device, capacity, np.float32)
         self._v = HostArray(device, capacity, np.float32)
         self._value = HostArray(device, (self.channels, capacity), np.float32)
@@ -140,12 +142,10 @@ class SampleSource:
 
     def parts(self, points: range, samples: range) -> list[tuple[range, range]]:
         """`samples` of each of `points`, cut into ranges of both that fit a batch."""
-        capacity = self.points_per_batch * self.stride
-        most = capacity // self.device.vector_width * self.device.vector_width
         found = []
-        for first in range(samples.start, samples.stop, most):
-            part = range(first, min(first + most, samples.stop))
-            step = max(1, capacity // self._stride_of(len(part)))
+        for first in range(samples.start, samples.stop, LONGEST_RUN):
+            part = range(first, min(first + LONGEST_RUN, samples.stop))
+            step = max(1, self._capacity // self._stride_of(len(part)))
             found += [
                 (range(a, min(a + step, points.stop)), part)
                 for a in range(points.start, points.stop, step)

@@ -15,7 +15,7 @@ from .integrands import Integrand
 from .presets import PRESETS
 from .sampler import SAMPLERS
 
-METHODS = ("ncv", "mc")
+METHODS = ("auto", "ncv", "mc")
 DENSITIES = ("table", "none")
 ALLOCATIONS = ("magnitude", "pilot", "uniform")
 
@@ -51,6 +51,8 @@ class RenderSettings:
     preset: str
     density: str | None = None
     allocation: str | None = None
+    target_mse: float | None = None
+    time_limit: float | None = None
 
     def __post_init__(self) -> None:
         self._check_estimator()
@@ -86,20 +88,23 @@ class RenderSettings:
                 "plain Monte Carlo learns no residual: density 'table' and allocation 'magnitude' need "
                 "method 'ncv' (allocation 'pilot' suits 'mc')"
             )
-        if self.method == "ncv" and self.allocation == "pilot":
-            raise ValueError("allocation 'pilot' is for method 'mc'; 'ncv' takes 'magnitude'")
+        if self.method != "mc" and self.allocation == "pilot":
+            raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
+        for name, value in (("target_mse", self.target_mse), ("time_limit", self.time_limit)):
+            if value is not None and not (isinstance(value, numbers.Real) and 0 < value < math.inf):
+                raise ValueError(f"{name} must be a positive number, got {value!r}")
 
     @property
     def uses_density(self) -> bool:
         """Whether the residual is sampled by its learned density."""
         chosen = self.density or ("table" if PRESETS[self.preset].density else "none")
-        return self.method == "ncv" and chosen == "table"
+        return self.method != "mc" and chosen == "table"
 
     @property
     def allocates(self) -> bool:
         """Whether points get samples by the magnitude of their residual."""
         chosen = self.allocation or ("magnitude" if PRESETS[self.preset].density else "uniform")
-        return self.method == "ncv" and chosen == "magnitude"
+        return self.method != "mc" and chosen == "magnitude"
 
     def training_points(
         self, active: int, samples_a_point: int, auto_samples: int

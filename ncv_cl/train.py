@@ -237,11 +237,6 @@ class Trainer:
         self._encoder.encode_grid(HostArray.of(self.device, network.table))
         return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
-    def samples_of(self, network: Network) -> TrainingSamples:
-        """The samples stored last, with features as `network`, a result of this training, sees them."""
-        self._encoder.encode_grid(HostArray.of(self.device, network.table))
-        return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
-
     def _set_common_factor(self) -> None:
         """The integrand's mean for all, so that rates and losses do not depend on the scene's units."""
         count = self._encoder.count

@@ -43,7 +43,7 @@ def test_points_without_residual_get_the_fewest():
 
 def test_no_points_are_no_samples():
     assert allocate(np.empty(0), 16).size == 0
-    assert Allocation.of_counts(np.empty(0, int)).number_of_passes(16) == 1
+    assert Allocation.of_counts(np.empty(0, int)).part(0, 1, 1) == []
 
 
 def test_the_allocation_lessens_the_error_of_the_image():
@@ -58,7 +58,7 @@ def test_passes_draw_every_sample_once_and_something_of_every_point_at_first(pas
     allocation = Allocation.of_counts(counts)
     next_sample = np.zeros(200, int)
     for number in range(passes):
-        for points, samples in allocation.part(number, passes):
+        for points, samples in allocation.part(number, number + 1, passes):
             chosen = allocation.chosen[points.start : points.stop]
             assert (next_sample[chosen] == samples.start).all()
             next_sample[chosen] = samples.stop

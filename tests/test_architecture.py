@@ -30,19 +30,21 @@ ORDER = (
     "train integrator estimate",
     "allocate calibrate density integrate presets resolve",
     "settings subdivide",
-    "passes report",
+    "auto learn passes report",
     "render",
     "cli __init__",
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
-    "train": {"density", "presets", "render"},
-    "density": {"render"},
+    "train": {"density", "learn", "presets"},
+    "density": {"learn", "render"},
+    "learn": {"render"},
+    "auto": {"render"},
     "passes": {"render"},
     "integrator": {"cli", "integrate", "subdivide", "render"},
     "integrate": {"cli", "subdivide", "__init__"},
-    "estimate": {"calibrate", "passes", "render", "report", "resolve"},
+    "estimate": {"auto", "calibrate", "learn", "passes", "render", "report", "resolve"},
     "resolve": {"render"},
     "render": {"cli", "__init__"},
     "cli": set(),

@@ -53,6 +53,8 @@ def test_threads_do_not_change_the_image(one_device, scenes, monkeypatch, method
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_batches_do_not_change_the_image(device, scenes, monkeypatch, method, sampler):
+    # Batches hold one such run at least.
+    monkeypatch.setattr(samples, "LONGEST_RUN", 64)
     whole = picture(scenes, device, method=method, sampler=sampler)
     monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 300)
     draws = []

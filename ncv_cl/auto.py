@@ -1,0 +1,80 @@
+"""Whether a control variate pays: predicted from a first pass of plain Monte Carlo."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from .device import Device
+from .estimate import Estimate
+from .probe import cached_probe
+
+# Samples a point of the first pass, on which the choice rests; they stay in the image.
+FIRST_SAMPLES = 16
+# Training in inference samples of the probe's network; then what folding, tabulating and integrating
+# take at a point.
+FIXED_INFERENCE_SAMPLES = 6e7
+INFERENCE_SAMPLES_A_POINT = 150.0
+# What a sample of the control variate costs more, with its rays where the shadows' edges are.
+SAMPLE_COST = 1.3
+# By how much the variance falls where all points are alike, measured over the shipped scenes; the rest
+# is what allocation brings.
+DENSITY_GAIN = 1.6
+# Errors of Sobol points fall as samples to this power, so samples as variance to its inverse.
+VARIANCE_EXPONENT = 1.5
+# The gain must be this clear, as predictions err.
+MARGIN = 0.85
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What was predicted for an image, and chosen.
+
+    Attributes
+    ----------
+    method : {"mc", "ncv"}
+    mc_seconds : float
+        Plain Monte Carlo to the end.
+    ncv_seconds : float
+        Control variate to the same error, training included.
+    variance_gain : float
+        Variance of plain Monte Carlo over that of the control variate at as many samples.
+    """
+
+    method: str
+    mc_seconds: float
+    ncv_seconds: float
+    variance_gain: float
+
+    def as_dict(self) -> dict[str, object]:
+        return asdict(self)
+
+
+def predict(device: Device, first: Estimate, seconds: float, spp: int) -> Prediction:
+    """Choose a method from the estimate and the seconds of a first pass.
+
+    Parameters
+    ----------
+    first : Estimate
+        Of f, from a few samples a point.
+    seconds : float
+        What that pass took.
+    spp : int
+        Samples a point that are wanted in all.
+
+    Notes
+    -----
+    Samples given by magnitude multiply the sum of variances s² by (mean s)² / mean s² (Lagrange
+    multiplier), which is small where few points have the variance. That is known before training.
+    """
+    drawn = float(first.samples.mean())
+    mc_seconds = seconds * max(spp - drawn, 0) / drawn
+    variance = first.variance.sum(axis=0)
+    concentration = float(np.sqrt(variance).mean() ** 2 / variance.mean()) if variance.any() else 1.0
+    gain = DENSITY_GAIN / max(concentration, 1e-3)
+    inference = 1e-9 * cached_probe(device).nanoseconds
+    fixed = inference * (FIXED_INFERENCE_SAMPLES + INFERENCE_SAMPLES_A_POINT * len(variance))
+    ncv_seconds = fixed + mc_seconds * SAMPLE_COST * gain ** (-1 / VARIANCE_EXPONENT)
+    method = "ncv" if variance.any() and ncv_seconds < MARGIN * mc_seconds else "mc"
+    return Prediction(method, mc_seconds, ncv_seconds, gain)
