@@ -51,13 +51,18 @@ class Prediction:
         return asdict(self)
 
 
-def predict(device: Device, first: Estimate, seconds: float, spp: int) -> Prediction:
+def predict(
+    device: Device, first: Estimate, difference: np.ndarray | None, seconds: float, spp: int
+) -> Prediction:
     """Choose a method from the estimate and the seconds of a first pass.
 
     Parameters
     ----------
     first : Estimate
         Of f, from a few samples a point.
+    difference : ndarray, optional
+        (channels, points done twice), between two estimates of some points. Well spread samples leave
+        errors at far fewer points than have a variance, and only differences show where.
     seconds : float
         What that pass took.
     spp : int
@@ -71,7 +76,14 @@ def predict(device: Device, first: Estimate, seconds: float, spp: int) -> Predic
     drawn = float(first.samples.mean())
     mc_seconds = seconds * max(spp - drawn, 0) / drawn
     variance = first.variance.sum(axis=0)
-    concentration = float(np.sqrt(variance).mean() ** 2 / variance.mean()) if variance.any() else 1.0
+    if difference is None:
+        deviation, normal = np.sqrt(variance), 1.0
+    else:
+        # The mean of a normal variable's absolute value is sqrt(2 / pi) of its deviation.
+        deviation, normal = np.sqrt((difference**2).sum(axis=0)), np.pi / 2
+    concentration = 1.0
+    if deviation.any():
+        concentration = min(1.0, normal * float(deviation.mean() ** 2 / np.mean(deviation**2)))
     gain = DENSITY_GAIN / max(concentration, 1e-3)
     inference = 1e-9 * cached_probe(device).nanoseconds
     fixed = inference * (FIXED_INFERENCE_SAMPLES + INFERENCE_SAMPLES_A_POINT * len(variance))

@@ -85,6 +85,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--time-limit", type=float, metavar="S", help="end within so many seconds (spp: the most)")
     add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
     add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
+    add("--checkpoint", metavar="FILE", help="write what there is after every pass here")
+    add("--resume", metavar="FILE", help="go on from a checkpoint of the same render")
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
     add("--supersample", type=int, default=1, metavar="K", help="K x K shading points a pixel")
     add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
@@ -217,7 +219,7 @@ class _StopOnInterrupt:
 
 def _render(options: argparse.Namespace) -> int:
     # What can be refused is refused before the work, not after it.
-    for path in filter(None, (*options.output, options.json, options.save_network)):
+    for path in filter(None, (*options.output, options.json, options.save_network, options.checkpoint)):
         if not Path(path).resolve().parent.is_dir():
             raise ValueError(f"{path}: the folder does not exist; make it first")
     for path in options.output:
@@ -242,6 +244,8 @@ def _render(options: argparse.Namespace) -> int:
         time_limit=options.time_limit,
         network=options.network,
         save_network=options.save_network,
+        checkpoint=options.checkpoint,
+        resume=options.resume,
         device=options.device,
         threads=options.threads,
         reference=reference,

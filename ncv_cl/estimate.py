@@ -128,6 +128,18 @@ class Estimator:
         else:
             self.samples[chosen] += samples
 
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """What `restore` takes: sums (rows, chosen points) and numbers of samples (chosen points,)."""
+        return self._state.read()[:, self._chosen], self.samples[self._chosen]
+
+    def restore(self, state: np.ndarray, samples: np.ndarray) -> None:
+        """Go on from another estimator's `state`."""
+        whole = self._state.read()
+        whole[:, self._chosen] = state
+        with self._state.mapped(write=True) as view:
+            view[...] = whole
+        self.samples[self._chosen] = samples
+
     def result(self, quantity: int = 0) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1)."""
         state = self._state.read().astype(np.float64)

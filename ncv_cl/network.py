@@ -6,6 +6,8 @@ import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import BinaryIO
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -250,15 +252,14 @@ class Network:
         companions : ndarray
             Arrays of what was trained beside the network, kept in the same file under their names.
         """
-        text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})
         with open(path, "wb") as file:
-            np.savez(
-                file,
-                about=np.array(text),
-                parameters=self.parameters,
-                table=self.table,
-                **companions,
-            )
+            self.write(file, **companions)
+
+    def write(self, file: BinaryIO, **companions: np.ndarray) -> None:
+        """As `save`, into an open file."""
+        text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})
+        arrays = {"parameters": self.parameters, "table": self.table}
+        np.savez(file, about=np.array(text), **arrays, **companions)
 
     @classmethod
     def load(cls, path: str | Path) -> Network:
@@ -273,7 +274,7 @@ class Network:
             with np.load(path) as file:
                 about = json.loads(str(file["about"]))
                 parameters, table = file["parameters"], file["table"]
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise NetworkError(f"{path} is not a network saved by ncv_cl: {error}") from error
         encoding = dict(about["description"]["encoding"])
         encoding["inputs"] = tuple(encoding["inputs"])

@@ -13,12 +13,13 @@ import numpy as np
 
 from .allocate import Allocation, allocate
 from .auto import FIRST_SAMPLES, Prediction, predict
-from .calibrate import calibrate, points_done_twice
+from .checkpoint import Checkpoint
 from .choose import choose_device
 from .density import Density, DensityNetwork, tabulate
 from .device import Device, HostArray
 from .encode import varying_inputs
 from .estimate import Estimate, Estimator
+from .estimation import Estimation
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
 from .integrator import Integrator
@@ -27,7 +28,7 @@ from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
 from .points import find_points
 from .presets import PRESETS
-from .report import metadata, statistics
+from .report import identity, metadata, statistics
 from .resolve import resolve_image
 from .sampler import Stream
 from .samples import SampleSource
@@ -58,6 +59,8 @@ def render(
     time_limit: float | None = None,
     network: Network | str | Path | None = None,
     save_network: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    resume: str | Path | None = None,
     device: Device | int | str | None = None,
     threads: int | None = None,
     reference: np.ndarray | None = None,
@@ -106,6 +109,11 @@ def render(
         density as well.
     save_network : str or Path, optional
         Where to write the trained network and its density, ``.npz``.
+    checkpoint : str or Path, optional
+        Written after training and after every pass; a process that is killed loses one pass at most.
+    resume : str or Path, optional
+        A checkpoint to go on from, to the bits that a render without interruption would have had. All
+        else must be as it was, but for targets and threads.
     device : Device, int or str, optional
         As `choose_device` takes it.
     threads : int, optional
@@ -125,7 +133,7 @@ def render(
     ------
     ValueError
         For bad arguments (`SceneError` for scenes, `IntegrandError` for integrands, `NetworkError` for
-        networks that do not fit).
+        networks that do not fit, `CheckpointError` for checkpoints of other renders).
     DeviceError
         If there is no such OpenCL device.
     """
@@ -142,10 +150,17 @@ def render(
     )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)
-    learned = None
+    learned, given_network = None, network is not None
     if network is not None and not isinstance(network, Network):
         network, learned = Network.load(network), DensityNetwork.load(network)
-    rendering = _Rendering(scene, settings, choose_device(device), threads, progress, stop, started)
+    device = choose_device(device)
+    asked = identity(scene, settings, device, given_network)
+    resumed = Checkpoint.load(resume) if resume is not None else None
+    if resumed is not None:
+        resumed.check(asked)
+        network, learned = resumed.network, resumed.density
+    rendering = _Rendering(scene, settings, device, threads, progress, stop, started)
+    rendering.keep = _Keep(checkpoint, asked, resumed)
     return rendering.run(network, learned, save_network, reference)
 
 
@@ -160,44 +175,23 @@ class _ControlVariate:
         float32 (channels, points), G of each active point.
     density : Density, optional
         Where the residual is.
+    learned : DensityNetwork, optional
+        What predicts it.
     """
 
     folded: FoldedNetwork
     integral: np.ndarray
     density: Density | None
+    learned: DensityNetwork | None
 
 
 @dataclass(frozen=True)
-class _Sampling:
-    """Estimates under way.
+class _Keep:
+    """Where to keep checkpoints, under which identity, and the one to go on from."""
 
-    Attributes
-    ----------
-    passes : Passes
-    targets : list of Target
-        The estimate of all points, then that of the points done twice.
-    twice : ndarray, optional
-        Indices of the points done twice.
-    prior : ndarray, optional
-        As `calibrate` takes it.
-    """
-
-    passes: Passes
-    targets: list[Target]
-    twice: np.ndarray | None
-    prior: np.ndarray | None
-
-    def results(self) -> list[Estimate]:
-        """Estimates so far: of f and, with a control variate, of f − g."""
-        first = self.targets[0].estimator
-        results = [first.result(quantity) for quantity in range(first.quantities)]
-        if self.twice is None:
-            return results
-        second = self.targets[1].estimator
-        return [
-            calibrate(result, second.result(quantity), self.twice, self.prior)
-            for quantity, result in enumerate(results)
-        ]
+    path: str | Path | None
+    identity: dict[str, object]
+    resumed: Checkpoint | None
 
 
 class _Rendering:
@@ -224,6 +218,7 @@ class _Rendering:
         self.before: Estimate | None = None
         self.prediction: Prediction | None = None
         self.points_done_twice = 0
+        self.keep = _Keep(None, {}, None)
         with self.watch("scene"):
             self.tracer = Tracer(scene, threads)
         with self.watch("points"):
@@ -253,18 +248,25 @@ class _Rendering:
         save_network: str | Path | None,
         reference: np.ndarray | None,
     ) -> Image:
-        settings, points = self.settings, self.points
+        settings, points, resumed = self.settings, self.points, self.keep.resumed
         begun = None
-        # Who wants a network gets one.
-        if settings.method == "auto" and points.active and network is None and save_network is None:
+        if resumed is not None:
+            self.before = resumed.before
+            self.prediction = Prediction(**resumed.prediction) if resumed.prediction else None
+        elif settings.method == "auto" and points.active and network is None and save_network is None:
+            # Who wants a network gets one; else the first pass decides.
             begun = self._begin_plain()
         variate = None
         if points.active and self._wants_network(network):
             variate = self._control_variate(network, density, save_network)
-        if variate is None and begun is not None:
-            plain, residual = self._finish(begun, first=1)
-        else:
-            plain, residual = self._finish(self._begin(self._allocate(variate), variate))
+        if variate is not None or begun is None:
+            first_pass = FIRST_SAMPLES if self.prediction and variate is None else None
+            begun = self._begin(self._allocate(variate), variate, first_pass)
+        first = 1 if self.prediction and variate is None else 0
+        if resumed is not None:
+            first = resumed.passes
+            begun.restore(resumed.states)
+        plain, residual = self._finish(begun, variate, first)
         by_count = None if PRESETS[settings.preset].density else float(settings.spp)
         with self.watch("resolve"):
             image = resolve_image(
@@ -277,6 +279,8 @@ class _Rendering:
         return image
 
     def _wants_network(self, network: Network | None) -> bool:
+        if self.keep.resumed is not None:
+            return self.keep.resumed.method == "ncv"
         if self.settings.method == "auto" and network is None and self.prediction is not None:
             return self.prediction.method == "ncv"
         return self.settings.method != "mc"
@@ -341,7 +345,7 @@ class _Rendering:
                     table = tabulate(device, density, network, self.points, unit)
         if save_network is not None:
             network.save(save_network, **(density.arrays() if density is not None else {}))
-        return _ControlVariate(folded, self._integrate(folded), table)
+        return _ControlVariate(folded, self._integrate(folded), table, density)
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
@@ -387,76 +391,86 @@ class _Rendering:
         if settings.allocation != "pilot" or not self.points.active:
             return everything
         pilot = max(1, min(PILOT_SAMPLES, settings.spp // 4))
-        estimator = Estimator(self.device, self.points, settings.integrand.channels)
-        targets = [Target(estimator, Allocation.uniform(everything.chosen, pilot), Stream.TRAINING)]
-        Passes(self.device, self.source, targets, [0, pilot], None, self.watch).run("pilot")
-        self.before = estimator.result()
+        if self.before is None:
+            self.before = self._pilot(Allocation.uniform(everything.chosen, pilot))
         # What the pilot did not see may still be there: no point is left to much fewer samples.
         fewest = 1 << (pilot.bit_length() - 1)
         deviation = np.sqrt(self.before.variance.sum(axis=0))
         return Allocation.of_counts(allocate(deviation, max(1, settings.spp - pilot), fewest))
+
+    def _pilot(self, allocation: Allocation) -> Estimate:
+        """Of f, from samples that the passes do not draw again."""
+        estimator = Estimator(self.device, self.points, self.settings.integrand.channels)
+        targets = [Target(estimator, allocation, Stream.TRAINING)]
+        edges = [0, int(allocation.counts[0])]
+        Passes(self.device, self.source, targets, edges, None, self.watch).run("pilot")
+        return estimator.result()
 
     def _begin(
         self,
         allocation: Allocation,
         variate: _ControlVariate | None,
         first_pass: int | None = None,
-    ) -> _Sampling:
-        """Estimators of f and, with a control variate, of f − g, and the passes that fill them."""
-        settings, points, device = self.settings, self.points, self.device
-        folded, density = (variate.folded, variate.density) if variate else (None, None)
-        channels = settings.integrand.channels
-        targets = [Target(Estimator(device, points, channels, folded), allocation, Stream.RESIDUAL)]
-        twice = None
-        # Independent samples tell their variance themselves; others need points that are done twice.
-        if points.active and settings.sampler != "independent":
-            twice = points_done_twice(points.active, settings.seed)
-            second = Estimator(device, points, channels, folded, twice)
-            restricted = allocation.restricted(twice, points.active)
-            targets.append(Target(second, restricted, Stream.CALIBRATION))
-        table = density.table if density is not None and settings.uses_density else None
-        prior = density.magnitude**2 if density is not None else None
+    ) -> Estimation:
+        settings = self.settings
         edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass or RESIDUAL_PASS)
-        passes = Passes(device, self.source, targets, edges, table, self.watch)
-        return _Sampling(passes, targets, twice, prior)
+        folded, density = (variate.folded, variate.density) if variate else (None, None)
+        return Estimation(
+            self.device, self.source, settings, allocation, edges, folded, density, self.watch
+        )
 
-    def _begin_plain(self) -> _Sampling:
+    def _begin_plain(self) -> Estimation:
         """The first pass of plain Monte Carlo, and from it what is to be expected."""
         settings = self.settings
         everything = np.arange(self.points.active, dtype=np.uint32)
-        sampling = self._begin(Allocation.uniform(everything, settings.spp), None, FIRST_SAMPLES)
+        estimation = self._begin(Allocation.uniform(everything, settings.spp), None, FIRST_SAMPLES)
         started = time.perf_counter()
-        sampling.passes.run("first pass", self.progress, last=1)
+        estimation.passes.run("first pass", self.progress, last=1)
         seconds = time.perf_counter() - started
-        self.prediction = predict(
-            self.device, sampling.targets[0].estimator.result(), seconds, settings.spp
-        )
+        first = estimation.first_estimate()
+        self.prediction = predict(self.device, first, estimation.differences(), seconds, settings.spp)
         if self.prediction.method == "ncv":
-            self.before = sampling.results()[0]
-        return sampling
+            self.before = estimation.results()[0]
+        return estimation
 
-    def _finish(self, sampling: _Sampling, first: int = 0) -> tuple[Estimate, Estimate | None]:
+    def _finish(
+        self, estimation: Estimation, variate: _ControlVariate | None, first: int
+    ) -> tuple[Estimate, Estimate | None]:
         """Draw the passes from `first` on, until a target is met; estimates of f and of f − g."""
         settings = self.settings
-        passes_began = time.perf_counter()
+        began, done = time.perf_counter(), first
+        self._write_checkpoint(estimation, variate, done)
 
         def enough() -> bool:
-            nonlocal passes_began
+            nonlocal began, done
+            done += 1
+            self._write_checkpoint(estimation, variate, done)
             now = time.perf_counter()
-            last, passes_began = now - passes_began, now
+            last, began = now - began, now
             if settings.time_limit is not None and now + last - self.started > settings.time_limit:
                 return True
-            if settings.target_mse is not None:
-                variance = sampling.results()[-1].variance_of_mean
-                pixels = settings.size[0] * settings.size[1]
-                # Errors of a pixel's points are independent; channels of one are all three.
-                error = float(variance.mean(axis=0).sum()) / (pixels * settings.supersample**4)
-                if error <= settings.target_mse:
-                    return True
-            return self.stop()
+            target = settings.target_mse
+            return (target is not None and estimation.image_error() <= target) or self.stop()
 
         if self.points.active:
-            sampling.passes.run("render", self.progress, enough, first)
-        self.points_done_twice = 0 if sampling.twice is None else len(sampling.twice)
-        results = sampling.results()
+            estimation.passes.run("render", self.progress, enough, first)
+        self.points_done_twice = len(estimation.twice)
+        results = estimation.results()
         return results[0], results[1] if len(results) > 1 else None
+
+    def _write_checkpoint(
+        self, estimation: Estimation, variate: _ControlVariate | None, passes: int
+    ) -> None:
+        if self.keep.path is None:
+            return
+        with self.watch("checkpoint"):
+            Checkpoint(
+                self.keep.identity,
+                "mc" if variate is None else "ncv",
+                passes,
+                estimation.states(),
+                self.before,
+                variate.folded.network if variate else None,
+                variate.learned if variate else None,
+                self.prediction.as_dict() if self.prediction else None,
+            ).save(self.keep.path)

@@ -55,6 +55,30 @@ def statistics(
     return found
 
 
+def identity(
+    scene: Scene, settings: RenderSettings, device: Device, given_network: bool
+) -> dict[str, object]:
+    """All that decides an image's bits, by name."""
+    return {
+        "version": package_version(),
+        "scene": scene.digest,
+        "integrand": settings.integrand.name,
+        "integrand options": {k: str(v) for k, v in sorted(vars(settings.integrand).items())},
+        "method": settings.method,
+        "sampler": settings.sampler,
+        "spp": settings.spp,
+        "train_spp": settings.train_spp,
+        "size": settings.size,
+        "supersample": settings.supersample,
+        "seed": settings.seed,
+        "preset": settings.preset,
+        "density": settings.density,
+        "allocation": settings.allocation,
+        "network": "given" if given_network else "trained",
+        "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
+    }
+
+
 def metadata(
     scene: Scene, settings: RenderSettings, device: Device, drawn: float, trained: float
 ) -> dict[str, object]:

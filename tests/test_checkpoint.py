@@ -1,0 +1,139 @@
+"""Checkpoints: gone on from to the same bits, refused where another render is asked for."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_determinism import assert_same_bits
+
+import ncv_cl
+from ncv_cl import render
+from ncv_cl.checkpoint import Checkpoint, CheckpointError
+
+OPTIONS = {"spp": 96, "train_spp": 4, "size": (12, 10), "seed": 3}
+CASES = [
+    {"method": "mc"},
+    {"method": "mc", "sampler": "independent"},
+    {"method": "mc", "allocation": "pilot"},
+    {"method": "ncv"},
+    {"method": "ncv", "preset": "slides"},
+    {"method": "auto"},
+]
+
+
+@pytest.fixture(autouse=True)
+def short_passes(monkeypatch):
+    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 16)
+
+
+def picture(scenes, device, **options):
+    return render(scenes / "cornell_box.toml", "direct", device=device, **{**OPTIONS, **options})
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case.values()))
+@pytest.mark.parametrize("passes", [1, 3])
+def test_going_on_gives_the_bits_of_an_uninterrupted_render(one_device, scenes, tmp_path, case, passes):
+    whole = picture(scenes, one_device, **case)
+    file = tmp_path / "checkpoint.npz"
+    asked = []
+
+    def stop():
+        asked.append(1)
+        return len(asked) >= passes + ("ncv" in case.values())
+
+    part = picture(scenes, one_device, **case, checkpoint=file, stop=stop)
+    assert part.stats["samples_per_point"] < whole.stats["samples_per_point"]
+    again = picture(scenes, one_device, **case, resume=file)
+    assert_same_bits(whole, again)
+    assert again.stats["samples_per_point"] == whole.stats["samples_per_point"]
+
+
+@pytest.mark.parametrize(
+    ("options", "difference"),
+    [
+        ({"seed": 4}, "seed is 4, was 3"),
+        ({"spp": 128}, "spp is 128, was 96"),
+        ({"size": (12, 11)}, "size"),
+        ({"sampler": "independent"}, "sampler"),
+        ({"method": "ncv"}, "method is 'ncv', was 'mc'"),
+    ],
+)
+def test_another_render_is_refused_and_the_difference_named(
+    one_device, scenes, tmp_path, options, difference
+):
+    file = tmp_path / "checkpoint.npz"
+    picture(scenes, one_device, method="mc", checkpoint=file)
+    with pytest.raises(CheckpointError, match=difference):
+        picture(scenes, one_device, **{"method": "mc", **options}, resume=file)
+
+
+def test_another_scene_is_refused(one_device, scenes, tmp_path):
+    file = tmp_path / "checkpoint.npz"
+    picture(scenes, one_device, method="mc", checkpoint=file)
+    with pytest.raises(CheckpointError, match="scene"):
+        render(scenes / "occluders.toml", method="mc", device=one_device, resume=file, **OPTIONS)
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04"])
+def test_broken_files_are_refused(tmp_path, content):
+    file = tmp_path / "checkpoint.npz"
+    file.write_bytes(content)
+    with pytest.raises(CheckpointError, match="not a checkpoint"):
+        Checkpoint.load(file)
+
+
+def test_a_file_that_cannot_be_written_leaves_the_old_one(one_device, scenes, tmp_path, monkeypatch):
+    file = tmp_path / "checkpoint.npz"
+    picture(scenes, one_device, method="mc", checkpoint=file)
+    before = file.read_bytes()
+
+    def fail(*arguments):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        picture(scenes, one_device, method="mc", checkpoint=file)
+    assert file.read_bytes() == before and list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_at_most_one_pass(one_device, scenes, tmp_path):
+    file = tmp_path / "checkpoint.npz"
+    options = [
+        "--method",
+        "mc",
+        "--size",
+        "48x48",
+        "--spp",
+        "1000000",
+        "--device",
+        str(one_device.index),
+    ]
+    command = [sys.executable, "-m", "ncv_cl.cli", "render", scenes / "cornell_box.toml", *options]
+    environment = {**os.environ, "PYTHONPATH": str(Path(ncv_cl.__file__).parent.parent)}
+    for _ in range(2):
+        process = subprocess.Popen(
+            [*command, "-o", tmp_path / "a.exr", "--checkpoint", file], env=environment
+        )
+        deadline = time.monotonic() + 120
+        written = None
+        # Killed at no particular moment, some passes after the first file.
+        while time.monotonic() < deadline and (written is None or time.monotonic() < written + 0.7):
+            if written is None and file.exists():
+                written = time.monotonic()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        found = Checkpoint.load(file)
+        assert found.passes > 0
+        # What there is are whole passes of all points.
+        samples = found.states[0][1]
+        assert (samples == samples[0]).all() and samples[0] > 0
+        assert np.isfinite(found.states[0][0]).all()
