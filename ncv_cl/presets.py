@@ -26,6 +26,8 @@ class Preset:
     settings : TrainSettings
     subset : bool
         Whether training may draw its samples at some of the points, when there are many.
+    density : bool
+        Whether samples follow the learned magnitude of the residual, over the square and over the image.
     """
 
     hidden: tuple[int, int]
@@ -37,6 +39,7 @@ class Preset:
     grid_entries: int
     settings: TrainSettings
     subset: bool
+    density: bool
 
     def description(self, integrand: Integrand, inputs: tuple[str, ...]) -> NetworkDescription:
         """The network for an integrand of which `inputs` vary."""
@@ -54,11 +57,12 @@ PRESETS = {
         modulated=GROUPS,
         demodulates=True,
         grid_levels=6,
-        grid_features=4,
+        grid_features=8,
         grid_base=4,
         grid_entries=1 << 16,
         settings=TrainSettings(),
         subset=True,
+        density=True,
     ),
     # The slides' network and schedule: two layers of 32, φ in the first bias alone, one sample of
     # every point an iteration, one Adam step each.
@@ -71,8 +75,15 @@ PRESETS = {
         grid_base=8,
         grid_entries=1 << 15,
         settings=TrainSettings(
-            batch=_WHOLE_FRAME, samples_a_step=1, passes=1, final_rate=1e-2, weight_power=0.0
+            batch=_WHOLE_FRAME,
+            samples_a_step=1,
+            passes=1,
+            final_rate=1e-2,
+            table_rate=1.0,
+            table_beta2=0.99,
+            weight_power=0.0,
         ),
         subset=False,
+        density=False,
     ),
 }
