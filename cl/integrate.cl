@@ -9,9 +9,6 @@
  * relu(z) has a closed form in the values at the three vertices (triangle_integral).
  * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
  *
- * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2), and
- * the next layer's column by the inverse; only exponents are added up, so nothing overflows on the way.
- *
  * Certification. The absolute areas of all triangles must sum to 1 and G must be finite; points that fail
  * are appended to `retry` and done by integrate_robust.
  *
@@ -71,13 +68,14 @@ void next_lines(SPACE Workspace *work, __global const Tables *tables, const int 
   SPACE Lines *next = &work->lines[k + 1];
   const int inputs = WIDTH[k + 1];
   const int stride = STRIDE[k + 1];
-  __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[k + 1];
+  __global const number *matrix = layer_matrix(work, tables, k + 1);
+  __global const number *bias = layer_bias(work, tables, k + 1);
   const number mean_x = work->mean_x;
   const number mean_y = work->mean_y;
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     numbers a = 0;
     numbers b = 0;
-    numbers c = LOAD(tables->scaled_bias + BIAS_OFFSET[k + 1] + j);
+    numbers c = LOAD(bias + j);
     for (int i = 0; i < inputs; ++i) {
       const bool active = FMA(lines->a[i], mean_x, FMA(lines->b[i], mean_y, lines->c[i])) >= 0;
 #if LEAKY
@@ -91,9 +89,9 @@ void next_lines(SPACE Workspace *work, __global const Tables *tables, const int 
       b = FMA(weight, (numbers)lines->b[i], b);
       c = FMA(weight, (numbers)lines->c[i], c);
     }
-    STORE(a, next->a + j);
-    STORE(b, next->b + j);
-    STORE(c, next->c + j);
+    PUT(a, SPACE, next->a + j);
+    PUT(b, SPACE, next->b + j);
+    PUT(c, SPACE, next->c + j);
   }
 }
 
@@ -110,7 +108,7 @@ void leader_begin_point(SPACE Workspace *work) {
 /* Walks all cells of one point's network and leaves the last hidden layer's integrals in `moment`. */
 void integrate_network(SPACE Workspace *work, __global Tables *tables, const int lane) {
   clear_moments(tables, lane);
-  first_lines(&work->lines[0], tables, lane);
+  first_lines(work, tables, lane);
   if (lane == 0) leader_begin_point(work);
   BARRIER();
 #if METHOD_FULL || HIDDEN > 1
@@ -134,21 +132,20 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
 
 #if WRITE_MOMENTS
 /* M with its powers of two put back. */
-void unscale_moments(__global Tables *tables, const int lane) {
+void unscale_moments(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
-    STORE(times_power_of_two(LOAD(tables->moment + j),
-                             LOAD(tables->exponent + BIAS_OFFSET[HIDDEN - 1] + j)),
-          tables->moment_error + j);
+    PUT(unscale(work, tables, HIDDEN - 1, j, LOAD(tables->moment + j)), __global, tables->moment_error + j);
 }
 #endif
 
 #endif
 
 /* G = b + W M for all channels, through the scaled output layer. */
-void compute_outputs(__global Tables *tables, const int lane) {
-  __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN];
+void compute_outputs(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+  __global const number *matrix = layer_matrix(work, tables, HIDDEN);
+  __global const number *bias = layer_bias(work, tables, HIDDEN);
   for (int j = lane * VEC; j < OUTPUT_STRIDE; j += LANES * VEC) {
-    numbers sum = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN] + j);
+    numbers sum = LOAD(bias + j);
     for (int i = 0; i < WIDTH[HIDDEN]; ++i) {
 #if HIDDEN > 0
       const number moment = tables->moment[i];
@@ -157,7 +154,7 @@ void compute_outputs(__global Tables *tables, const int lane) {
 #endif
       sum = FMA(LOAD(matrix + i * STRIDE[HIDDEN] + j), (numbers)moment, sum);
     }
-    STORE(times_power_of_two(sum, LOAD(tables->exponent + BIAS_OFFSET[HIDDEN] + j)), tables->output + j);
+    PUT(unscale(work, tables, HIDDEN, j, sum), __global, tables->output + j);
   }
 }
 
@@ -242,19 +239,19 @@ void integrate(const int begin, const int end, const int run, __global int *coun
       const size_t p = (size_t)point;
       FOR_EACH_LAYER(LOAD_LAYER)
       first = false;
+      if (lane == 0) work->scaled = 0;
       BARRIER();
-      for (int k = 0; k <= HIDDEN; ++k) {
-        scale_layer(tables, k, lane);
-        BARRIER();
-      }
+      for (int k = 0; k <= HIDDEN; ++k) check_range(work, tables, k, lane);
+      BARRIER();
+      if (work->scaled) scale_layers(tables, lane);
 #if HIDDEN > 0
       integrate_network(work, tables, lane);
 #endif
-      compute_outputs(tables, lane);
+      compute_outputs(work, tables, lane);
       BARRIER();
       copy_numbers(G + p * BIAS_SIZE(HIDDEN), tables->output, WIDTH[HIDDEN + 1], lane);
 #if WRITE_MOMENTS
-      unscale_moments(tables, lane);
+      unscale_moments(work, tables, lane);
       BARRIER();
       copy_numbers(moments + p * BIAS_SIZE(HIDDEN - 1), tables->moment_error, WIDTH[HIDDEN], lane);
 #endif

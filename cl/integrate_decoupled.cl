@@ -57,10 +57,11 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
   SPACE const Dcel *d = &work->arrangement[0];
   SPACE const Lines *lines = &work->lines[0];
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
-    for (int v = 0; v < d->vertices; ++v)
-      STORE(FMA(LOAD(lines->a + j), (numbers)d->x[v],
-                FMA(LOAD(lines->b + j), (numbers)d->y[v], LOAD(lines->c + j))),
-            tables->value + v * MOMENT_STRIDE + j);
+    for (int v = 0; v < d->vertices; ++v) {
+      const numbers z = FMA(LOAD(lines->a + j), (numbers)d->x[v],
+                            FMA(LOAD(lines->b + j), (numbers)d->y[v], LOAD(lines->c + j)));
+      PUT(z, __global, tables->value + v * MOMENT_STRIDE + j);
+    }
 }
 
 #else
@@ -90,18 +91,19 @@ void tile_activations(SPACE const Workspace *work, __global Tables *tables, cons
       const numbers c = lines->c[i];
       const numbers z = FMA(a, x, FMA(b, y, c));
       const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));
-      STORE(activate(fabs(z) <= (number)LINE_ROUNDING * terms ? (numbers)0 : z),
-            tables->activation + i * TILE + v);
+      const numbers snapped = fabs(z) <= (number)LINE_ROUNDING * terms ? (numbers)0 : z;
+      PUT(activate(snapped), __global, tables->activation + i * TILE + v);
     }
   }
 }
 
 /* The last hidden layer's neurons at these vertices, before activation, neurons across lanes. */
-void tile_values(__global Tables *tables, const int tile, const int vertices, const int lane) {
+void tile_values(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
+  const int vertices = work->arrangement[LAST_ARRANGEMENT].vertices;
   const int rows = LESSER(TILE, vertices - tile);
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
-    __global const number *matrix = tables->scaled_matrix + MATRIX_OFFSET[HIDDEN - 1] + j;
-    const numbers bias = LOAD(tables->scaled_bias + BIAS_OFFSET[HIDDEN - 1] + j);
+    __global const number *matrix = layer_matrix(work, tables, HIDDEN - 1) + j;
+    const numbers bias = LOAD(layer_bias(work, tables, HIDDEN - 1) + j);
     for (int v = 0; v < rows; v += VERTEX_BLOCK) {
       numbers z[VERTEX_BLOCK];
 #pragma unroll
@@ -114,7 +116,7 @@ void tile_values(__global Tables *tables, const int tile, const int vertices, co
       }
 #pragma unroll
       for (int q = 0; q < VERTEX_BLOCK; ++q)
-        STORE(z[q], tables->value + (tile + v + q) * MOMENT_STRIDE + j);
+        PUT(z[q], __global, tables->value + (tile + v + q) * MOMENT_STRIDE + j);
     }
   }
 }
@@ -125,7 +127,7 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
   for (int tile = 0; tile < vertices; tile += TILE) {
     tile_activations(work, tables, tile, lane);
     BARRIER();
-    tile_values(tables, tile, vertices, lane);
+    tile_values(work, tables, tile, lane);
     BARRIER();
   }
 }
@@ -184,8 +186,8 @@ void add_triangles(__global Tables *tables, const int triangles, const int lane)
       }
       COMPENSATED_ADD(numbers, moment, error, sum);
     }
-    STORE(moment, tables->moment + j);
-    STORE(error, tables->moment_error + j);
+    PUT(moment, __global, tables->moment + j);
+    PUT(error, __global, tables->moment_error + j);
   }
 }
 

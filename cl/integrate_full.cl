@@ -74,8 +74,8 @@ void add_faces(SPACE const Workspace *work, __global Tables *tables, const int l
     numbers moment = LOAD(tables->moment + j);
     numbers error = LOAD(tables->moment_error + j);
     COMPENSATED_ADD(numbers, moment, error, sum);
-    STORE(moment, tables->moment + j);
-    STORE(error, tables->moment_error + j);
+    PUT(moment, __global, tables->moment + j);
+    PUT(error, __global, tables->moment_error + j);
   }
 }
 

@@ -25,6 +25,8 @@ typedef int exponent_bits;
 #define NUMBER_NAME float
 #define EXPONENT_NAME int
 #endif
+/* Four layers of 128 such weights stay within 2^80 even in single precision. */
+#define MODERATE_EXPONENT 12
 
 /* `numbers` and `exponents`: VEC at a time. */
 #if VEC == 1
@@ -38,6 +40,11 @@ typedef JOIN(EXPONENT_NAME, VEC) exponents;
 #define AS_EXPONENTS(x) JOIN(JOIN(as_, EXPONENT_NAME), VEC)(x)
 #define AS_NUMBERS(x) JOIN(JOIN(as_, NUMBER_NAME), VEC)(x)
 #endif
+
+/* PoCL 3 makes four stores of vstore16, and who loads the whole vector soon after has to wait for the last:
+ * PUT is one store to `memory`, and needs no more alignment than vstore does. */
+typedef numbers loose_numbers __attribute__((aligned(sizeof(number))));
+#define PUT(value, memory, pointer) (*(memory loose_numbers *)(pointer) = (value))
 
 /* Not fmin and fmax, whose rule for NaN costs two more instructions; there are no NaNs here. */
 #define LESSER(a, b) ((a) < (b) ? (a) : (b))
@@ -64,6 +71,16 @@ numbers times_power_of_two(const numbers x, const exponents k) {
 /* The exponent e of 2^e <= |x| < 2^(e + 1); the lowest one for zeros and subnormals. */
 exponents exponent_of(const numbers x) {
   return ((AS_EXPONENTS(x) >> MANTISSA_BITS) & EXPONENT_MASK) - EXPONENT_BIAS;
+}
+
+/* Whether all x are 0 or moderate: no product or sum of a few numbers of that size overflows or vanishes. */
+bool all_moderate(const numbers x) {
+  const exponents e = exponent_of(x);
+#if VEC == 1
+  return x == 0 || (e >= -MODERATE_EXPONENT && e < MODERATE_EXPONENT);
+#else
+  return all((x == 0) | ((e >= -MODERATE_EXPONENT) & (e < MODERATE_EXPONENT)));
+#endif
 }
 
 /* sum += term, with the rounding error carried along (Kahan). */

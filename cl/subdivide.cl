@@ -20,8 +20,9 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
   const size_t p = 0;
   clear_padding(work, tables, lane);
   FOR_EACH_LAYER(LOAD_LAYER)
-  for (int k = 0; k <= HIDDEN; ++k) scale_layer(tables, k, lane);
-  first_lines(&work->lines[0], tables, lane);
+  work->scaled = 1;
+  scale_layers(tables, lane);
+  first_lines(work, tables, lane);
   leader_begin_point(work);
   add_lines(&work->arrangement[0], &work->lines[0], work->crossing, WIDTH[1], 1, lane);
 

@@ -1,9 +1,18 @@
-"""How large arrangements of lines can become: exact bounds, known before anything is computed."""
+"""What a network's shape says before anything is computed: bounds of its arrangements, layout of arrays.
+
+Both become `-D` constants of the kernels; this is the only owner of those.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+# Vertices are padded to so many at least, whatever the vector width.
+VERTEX_PADDING = 16
+# Corners beyond the exact bound: rounding can make a polygon of the robust path slightly concave.
+ROBUST_SPARE_CORNERS = 16
 
 
 @dataclass(frozen=True)
@@ -48,3 +57,73 @@ def arrangement_layers(widths: Sequence[int], method: str) -> tuple[int, ...]:
     """Widths of the hidden layers whose lines are arranged."""
     hidden = tuple(widths[1:-1])
     return hidden if method == "full" else hidden[:-1]
+
+
+def shape_constants(widths: Sequence[int], method: str, vector: int) -> dict[str, int | str]:
+    """The `-D` constants of the integration kernels that follow from the shape.
+
+    Parameters
+    ----------
+    widths, method
+        As for `Integrator`.
+    vector : int
+        Neurons that a work-group takes at a time: VEC * LANES. Arrays are padded to multiples of it.
+
+    Returns
+    -------
+    dict
+        Offsets and sizes of the parameters' tables, and capacities of the arrangements.
+    """
+    hidden = len(widths) - 2
+    bounds = capacities(widths, method)
+    strides = [_round_up(width, vector) for width in widths[1:]]
+    matrices = [inputs * stride for inputs, stride in zip(widths, strides, strict=False)]
+    lines = strides[: max(1, hidden)]
+    return {
+        "HIDDEN": hidden,
+        "ARRANGEMENTS": max(1, len(arrangement_layers(widths, method))),
+        "WIDTHS": _list(widths),
+        "STRIDES": _list(strides),
+        "MATRIX_OFFSETS": _list(_offsets(matrices)),
+        "MATRIX_NUMBERS": sum(matrices),
+        "BIAS_OFFSETS": _list(_offsets(strides)),
+        "BIAS_NUMBERS": sum(strides),
+        "LINE_STRIDE": max(lines),
+        "LINE_LAYERS": len(lines),
+        "MOMENT_STRIDE": strides[max(0, hidden - 1)],
+        "OUTPUT_STRIDE": strides[-1],
+        "MAX_CORNERS": bounds.corners,
+        "MAX_VERTICES": _round_up(bounds.vertices, max(vector, VERTEX_PADDING)),
+        # The walk asks for room for four; at the border it needs three.
+        "MAX_HALF_EDGES": bounds.half_edges + 1,
+        "MAX_FACES": bounds.faces,
+        "MAX_TRIANGLES": bounds.triangles,
+    }
+
+
+def robust_shape_constants(widths: Sequence[int]) -> dict[str, int | str]:
+    """The `-D` constants of the robust path that follow from the shape: nothing is padded there."""
+    hidden = widths[1:-1]
+    matrices = [inputs * outputs for inputs, outputs in itertools.pairwise(widths)]
+    lines = sum(hidden[:-1])
+    return {
+        "ROBUST_WIDTH": max(hidden),
+        "ROBUST_CORNERS": 4 + lines + ROBUST_SPARE_CORNERS,
+        "ROBUST_POLYGONS": lines + 1,
+        "ROBUST_MATRIX_NUMBERS": sum(matrices),
+        "ROBUST_MATRIX_OFFSETS": _list(_offsets(matrices)),
+        "ROBUST_BIAS_NUMBERS": sum(widths[1:]),
+        "ROBUST_BIAS_OFFSETS": _list(_offsets(widths[1:])),
+    }
+
+
+def _round_up(count: int, multiple: int) -> int:
+    return -(-count // multiple) * multiple
+
+
+def _offsets(sizes: Sequence[int]) -> Iterable[int]:
+    return itertools.accumulate(sizes[:-1], initial=0)
+
+
+def _list(numbers: Iterable[int]) -> str:
+    return ",".join(map(str, numbers))

@@ -65,6 +65,12 @@ def integrate(
 
     Notes
     -----
+    Relative to Σ |w_j| ∫activation(z_j) + |b|, errors stay below 1e-6 (float32) and 1e-13 (float64). The
+    one exception met among random networks: where weights span eight decades, large products can cancel
+    in the last hidden layer's own values, as they would in any float32 evaluation; about one such
+    network in two thousand was off by more, up to 7e-6. A certificate for it would need the size of
+    the cancelled terms wherever a neuron is on, which is as much work again as the values.
+
     Meister and Harada, "Geometric Integration for Neural Control Variates", Computer Graphics
     Forum 2025.
     """

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
-from .arrangement import arrangement_layers, capacities
+from .arrangement import robust_shape_constants, shape_constants
 from .device import Device, HostArray
 from .program import Kernel, Program, build, device_defines
 
@@ -33,8 +32,6 @@ LONGEST_RUN = 16
 # Local memory every GPU has; a workspace beyond it goes to global memory.
 LOCAL_BYTES = 48 * 1024
 SCRATCH_BYTES = 256 << 20
-# Corners beyond the exact bound: rounding can make a polygon of the robust path slightly concave.
-ROBUST_SPARE_CORNERS = 16
 ROBUST_FILES = ("common", "number", "integrate_robust")
 
 
@@ -78,10 +75,6 @@ class _Robust:
     kernel: Kernel
     groups: int
     tables: cl.Buffer
-
-
-def _round_up(count: int, multiple: int) -> int:
-    return -(-count // multiple) * multiple
 
 
 class Integrator:
@@ -151,36 +144,13 @@ class Integrator:
         return ("common", "number", "dcel", "integrate_network", *step, "integrate")
 
     def _constants(self, negative_slope: float, area_tolerance: float | None) -> dict[str, int | str]:
-        """The `-D` constants of the kernels; this is their only owner."""
-        hidden = self.layers - 1
+        """The `-D` constants of the kernels."""
         device = self.device
-        bounds = capacities(self.widths, self.method)
-        vector = device.vector_width * device.lanes
-        strides = [_round_up(width, vector) for width in self.widths[1:]]
-        matrices = [inputs * stride for inputs, stride in zip(self.widths, strides, strict=False)]
-        lines = strides[: max(1, hidden)]
         suffix = "f" if self.precision == "float32" else ""
         tolerance = AREA_TOLERANCE[self.precision] if area_tolerance is None else area_tolerance
-        constants: dict[str, int | str] = {
-            "HIDDEN": hidden,
-            "ARRANGEMENTS": max(1, len(arrangement_layers(self.widths, self.method))),
+        constants = shape_constants(self.widths, self.method, device.vector_width * device.lanes)
+        constants |= {
             "METHOD_FULL": int(self.method == "full"),
-            "WIDTHS": _list(self.widths),
-            "STRIDES": _list(strides),
-            "MATRIX_OFFSETS": _list(np.cumsum([0, *matrices[:-1]])),
-            "MATRIX_NUMBERS": sum(matrices),
-            "BIAS_OFFSETS": _list(np.cumsum([0, *strides[:-1]])),
-            "BIAS_NUMBERS": sum(strides),
-            "LINE_STRIDE": max(lines),
-            "LINE_LAYERS": len(lines),
-            "MOMENT_STRIDE": strides[max(0, hidden - 1)],
-            "OUTPUT_STRIDE": strides[-1],
-            "MAX_CORNERS": bounds.corners,
-            "MAX_VERTICES": _round_up(bounds.vertices, max(vector, 16)),
-            # The walk asks for room for four; at the border it needs three.
-            "MAX_HALF_EDGES": bounds.half_edges + 1,
-            "MAX_FACES": bounds.faces,
-            "MAX_TRIANGLES": bounds.triangles,
             "WRITE_MOMENTS": int(self.write_moments),
             "LEAKY": int(negative_slope != 0),
             "NEGATIVE_SLOPE": f"{float(negative_slope)!r}{suffix}",
@@ -329,20 +299,12 @@ class Integrator:
         return self._robust
 
     def _robust_constants(self) -> dict[str, int | str]:
-        hidden = self.widths[1:-1]
-        matrices = [inputs * outputs for inputs, outputs in itertools.pairwise(self.widths)]
         in_double = self.device.has_float64
-        lines = sum(hidden[:-1])
-        return self._defines | {
+        tolerance = repr(AREA_TOLERANCE[self.precision])
+        constants = self._defines | robust_shape_constants(self.widths)
+        return constants | {
             "ROBUST_DOUBLE": int(in_double),
-            "ROBUST_WIDTH": max(hidden),
-            "ROBUST_CORNERS": 4 + lines + ROBUST_SPARE_CORNERS,
-            "ROBUST_POLYGONS": lines + 1,
-            "ROBUST_MATRIX_NUMBERS": sum(matrices),
-            "ROBUST_MATRIX_OFFSETS": _list(np.cumsum([0, *matrices[:-1]])),
-            "ROBUST_BIAS_NUMBERS": sum(self.widths[1:]),
-            "ROBUST_BIAS_OFFSETS": _list(np.cumsum([0, *self.widths[1:-1]])),
-            "ROBUST_AREA_TOLERANCE": repr(AREA_TOLERANCE[self.precision]) + ("" if in_double else "f"),
+            "ROBUST_AREA_TOLERANCE": tolerance if in_double else tolerance + "f",
         }
 
     def programs(self) -> list[tuple[tuple[str, ...], dict[str, int | str]]]:
@@ -418,10 +380,6 @@ def _one_each(flags: Sequence[bool] | bool, layers: int, name: str) -> tuple[boo
     if len(flags) != layers:
         raise ValueError(f"{name} needs one flag a layer ({layers}), got {len(flags)}")
     return tuple(bool(flag) for flag in flags)
-
-
-def _list(numbers: Sequence[int] | np.ndarray) -> str:
-    return ",".join(str(int(number)) for number in numbers)
 
 
 def _memory(program: Program, kernel: str) -> list[int]:

@@ -57,7 +57,7 @@ PRESETS = {
         modulated=GROUPS,
         demodulates=True,
         grid_levels=6,
-        grid_features=4,
+        grid_features=8,
         grid_base=4,
         grid_entries=1 << 16,
         settings=TrainSettings(),
@@ -75,7 +75,13 @@ PRESETS = {
         grid_base=8,
         grid_entries=1 << 15,
         settings=TrainSettings(
-            batch=_WHOLE_FRAME, samples_a_step=1, passes=1, final_rate=1e-2, weight_power=0.0
+            batch=_WHOLE_FRAME,
+            samples_a_step=1,
+            passes=1,
+            final_rate=1e-2,
+            table_rate=1.0,
+            table_beta2=0.99,
+            weight_power=0.0,
         ),
         subset=False,
         density=False,

@@ -54,8 +54,8 @@ class TrainSettings:
         Demodulated networks: samples weigh as this power of the point's factor.
     """
 
-    batch: int = 128
-    samples_a_step: int = 4
+    batch: int = 64
+    samples_a_step: int = 16
     passes: int = 4
     rate: float = 1e-2
     final_rate: float = 1e-3
@@ -63,9 +63,9 @@ class TrainSettings:
     beta2: float = 0.99
     epsilon: float = 1e-8
     table_rate: float = 5.0
-    table_beta2: float = 0.95
+    table_beta2: float = 0.9
     average_decay: float = 0.99
-    weight_power: float = 1.0
+    weight_power: float = 0.5
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ Nothing here is shared with the kernels: cells are cut one by one, last-layer ne
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
@@ -29,9 +30,22 @@ def exact_integral(
     scale : list of mpq, one a channel
         Sum over the last hidden layer of |w_j| times the integral of |activation(z_j)|, plus |b|.
     """
+    matrices, offsets = (
+        [(a.tobytes(), a.dtype.str, a.shape) for a in part] for part in (weights, biases)
+    )
+    return _exact_integral(tuple(matrices), tuple(offsets), negative_slope)
+
+
+# Each network is integrated by both methods in both precisions; its exact value takes longest of all.
+@functools.lru_cache(maxsize=256)
+def _exact_integral(
+    weights: tuple[tuple, ...], biases: tuple[tuple, ...], negative_slope: float
+) -> tuple[list[mpq], list[mpq]]:
+    """`exact_integral` of arrays as (bytes, dtype, shape), which can be looked up."""
+    arrays = [[np.frombuffer(*a[:2]).reshape(a[2]) for a in part] for part in (weights, biases)]
     slope = mpq(negative_slope)
-    matrices = [[[mpq(float(x)) for x in row] for row in w] for w in weights]
-    offsets = [[mpq(float(x)) for x in b] for b in biases]
+    matrices = [[[mpq(float(x)) for x in row] for row in w] for w in arrays[0]]
+    offsets = [[mpq(float(x)) for x in b] for b in arrays[1]]
     first = [(row[0], row[1], c) for row, c in zip(matrices[0], offsets[0], strict=True)]
     if len(matrices) == 1:
         values = [_integral(UNIT_SQUARE, affine) for affine in first]

@@ -25,6 +25,7 @@ PLAIN = TrainSettings(
     table_rate=1.0,
     epsilon=1e6,
     average_decay=0.0,
+    weight_power=1.0,
 )
 
 
