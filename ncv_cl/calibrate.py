@@ -18,6 +18,8 @@ VALUES_A_CLASS = 96
 MOST_CLASSES = 16
 # A prior of the variance counts as much as so many samples.
 PRIOR_SAMPLES = 12
+# A prior is a mean over so many sub-pixels to each side.
+LOCAL_RADIUS = 2
 # Stands for a ratio of zero, which has no logarithm.
 SMALLEST_RATIO = 1e-9
 
@@ -28,6 +30,29 @@ def points_done_twice(points: int, seed: int) -> np.ndarray:
     count = max(min(points, 1), int(min(wanted, points * LARGEST_TWICE_SHARE)))
     generator = np.random.Generator(np.random.Philox([seed, 3]))
     return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
+
+
+def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Mean of `values` (points,) over the points within `LOCAL_RADIUS` sub-pixels, along both axes.
+
+    `cell` are the points' sub-pixels, row-major on a grid of `rows` x `columns`. A few samples may
+    have missed what a point's neighbours saw.
+    """
+    planes = np.zeros((2, rows + 2 * LOCAL_RADIUS + 1, columns + 2 * LOCAL_RADIUS + 1))
+    row, column = cell // columns, cell % columns
+    planes[0, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = values
+    planes[1, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = 1
+    # Sums over boxes as differences of sums over all that lies above and to the left.
+    sums = planes.cumsum(axis=1).cumsum(axis=2)
+    width = 2 * LOCAL_RADIUS + 1
+    boxes = (
+        sums[:, width:, width:]
+        - sums[:, :-width, width:]
+        - sums[:, width:, :-width]
+        + sums[:, :-width, :-width]
+    )
+    total, count = boxes[:, row, column]
+    return np.maximum(total / count, 0.0)
 
 
 def calibrate(

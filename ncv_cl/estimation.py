@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .allocate import Allocation
-from .calibrate import calibrate, points_done_twice
+from .calibrate import calibrate, local_mean, points_done_twice
 from .density import Density
 from .device import Device
 from .estimate import Estimate, Estimator
@@ -54,7 +54,8 @@ class Estimation:
     ) -> None:
         points, channels = source.points, settings.integrand.channels
         self._settings = settings
-        self._prior = density.magnitude**2 if density is not None else None
+        self._points = points
+        self._magnitude = density.magnitude if density is not None else None
         self._first = Estimator(device, points, channels, folded)
         self._second: Estimator | None = None
         targets = [Target(self._first, allocation, Stream.RESIDUAL)]
@@ -70,15 +71,26 @@ class Estimation:
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g."""
-        quantities = range(self._first.quantities)
+        first = [self._first.result(quantity) for quantity in range(self._first.quantities)]
         if self._second is None:
-            return [self._first.result(quantity) for quantity in quantities]
+            return first
+        # The prior is for what the image is made of, which comes last.
+        prior = self._prior(first[-1])
         return [
-            calibrate(
-                self._first.result(quantity), self._second.result(quantity), self.twice, self._prior
-            )
-            for quantity in quantities
+            calibrate(one, self._second.result(quantity), self.twice, prior)
+            for quantity, one in enumerate(first)
         ]
+
+    def _prior(self, estimate: Estimate) -> np.ndarray:
+        """What to expect of the variance of a point's sample, up to a factor: (points,)."""
+        settings, active = self._settings, self._points.active
+        columns, rows = (settings.supersample * size for size in settings.size)
+        variance = estimate.variance.sum(axis=0)
+        prior = local_mean(variance, self._points.cell[:active], columns, rows)
+        if self._magnitude is None:
+            return prior
+        predicted = self._magnitude**2
+        return prior / max(prior.mean(), 1e-300) + predicted / max(predicted.mean(), 1e-300)
 
     def first_estimate(self) -> Estimate:
         """Of f, without what is done twice."""

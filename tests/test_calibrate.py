@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.calibrate import calibrate, points_done_twice
+from ncv_cl.calibrate import LOCAL_RADIUS, calibrate, local_mean, points_done_twice
 from ncv_cl.estimate import Estimate
 
 
@@ -66,3 +66,15 @@ def test_points_without_variance_stay_without():
     found = calibrate(estimate, estimate, np.arange(0, 40, 4))
     assert not found.variance_of_mean[:, :20].any() and (found.variance_of_mean < 1e-9).all()
     np.testing.assert_array_equal(found.mean, mean)
+
+
+def test_local_means_are_those_of_the_neighbours_that_exist():
+    rows, columns = 9, 7
+    generator = np.random.default_rng(5)
+    cell = np.sort(generator.choice(rows * columns, 40, replace=False))
+    values = generator.uniform(size=40)
+    found = local_mean(values, cell, columns, rows)
+    row, column = cell // columns, cell % columns
+    for point in range(40):
+        near = (abs(row - row[point]) <= LOCAL_RADIUS) & (abs(column - column[point]) <= LOCAL_RADIUS)
+        assert found[point] == pytest.approx(values[near].mean())
