@@ -6,6 +6,9 @@
  * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
  * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
  *
+ * Which groups and entries, and the step sizes, stand in the step's rows of `plan` and `rates`, of which the
+ * global offset tells the number (Kernel.repeat).
+ *
  * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then the second moment
  * that they share, then what share of that moment the gradients so far make up.
  *
@@ -54,17 +57,23 @@ void update_entries(const float rate, const uint first, const uint end, global c
   }
 }
 
-kernel void adam(const uint groups, const uint first_entry, const uint end_entry, const float rate,
-                 const float table_rate, const float correction1, const float correction2,
-                 const float average_decay, global const float *restrict partial,
-                 global float *restrict parameters, global float *restrict moment1,
-                 global float *restrict moment2, global float *restrict average,
-                 global float *restrict loss, global const uint *restrict entries,
-                 global const uint *restrict starts, global const uint *restrict places,
-                 global const float *restrict weights, global const float *restrict grid_gradient,
-                 global float *restrict table) {
-  const uint work_item = (uint)get_global_id(0);
+kernel void adam(global const uint *restrict plan, global const float *restrict rates,
+                 global const float *restrict partial, global float *restrict parameters,
+                 global float *restrict moment1, global float *restrict moment2,
+                 global float *restrict average, global float *restrict loss,
+                 global const uint *restrict entries, global const uint *restrict starts,
+                 global const uint *restrict places, global const float *restrict weights,
+                 global const float *restrict grid_gradient, global float *restrict table) {
+  const size_t number = get_global_offset(0) / get_local_size(0);
+  global const uint *restrict step = plan + number * PLAN_WORDS;
+  global const float *restrict own_rates = rates + number * RATE_FLOATS;
+  const uint work_item = (uint)(get_global_id(0) - get_global_offset(0));
   if (work_item < PARTIAL_FLOATS / VEC) {
+    const uint groups = step[PLAN_GROUPS];
+    const float rate = own_rates[RATE_NETWORK];
+    const float correction1 = own_rates[RATE_CORRECTION1];
+    const float correction2 = own_rates[RATE_CORRECTION2];
+    const float average_decay = own_rates[RATE_AVERAGE];
     const uint p = work_item * VEC;
     real gradient = (real)0.0f;
     for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)PARTIAL_FLOATS + p);
@@ -83,7 +92,8 @@ kernel void adam(const uint groups, const uint first_entry, const uint end_entry
     }
     return;
   }
-  const uint first = first_entry + (work_item - PARTIAL_FLOATS / VEC) * VEC;
-  if (first < end_entry)
-    update_entries(table_rate, first, end_entry, entries, starts, places, weights, grid_gradient, table);
+  const uint first = step[PLAN_FIRST_ENTRY] + (work_item - PARTIAL_FLOATS / VEC) * VEC;
+  if (first < step[PLAN_END_ENTRY])
+    update_entries(own_rates[RATE_TABLE], first, step[PLAN_END_ENTRY], entries, starts, places, weights,
+                   grid_gradient, table);
 }

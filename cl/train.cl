@@ -2,7 +2,8 @@
  *
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
  * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
- * of `all_targets`. `factor` (a plane a channel, by column) is what the network's output is multiplied by;
+ * of `all_targets`. These three stand in the step's row of `plan`, PLAN_WORDS words of which the global offset
+ * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied by;
  * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
  * column and channel, is the factor over its mean to a power that the host chose.
  *
@@ -301,8 +302,8 @@ void base_gradient(const int lane, const int is_first, const float scale,
 }
 
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
-    const uint sample, const uint first, const uint count, const uint stride,
-    global const float *restrict features, global const float *restrict unit,
+    global const uint *restrict plan, const uint stride, global const float *restrict features,
+    global const float *restrict unit,
     global const uint *restrict corner, global const float *restrict table, global const float *restrict all_u,
     global const float *restrict all_v, global const float *restrict all_targets,
     global const float *restrict factor, global const float *restrict weights,
@@ -317,10 +318,10 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
   local real delta2[SAMPLES_A_STEP * HIDDEN2 * TILE_BLOCKS];
   local real losses[TILE_BLOCKS];
   if (get_group_id(0) < IDLE_GROUPS) return;
-  const uint group = (uint)get_group_id(0) - IDLE_GROUPS;
-  const uint groups = (uint)get_num_groups(0) - IDLE_GROUPS;
+  const uint group = (uint)get_group_id(0) - IDLE_GROUPS, groups = (uint)get_num_groups(0) - IDLE_GROUPS;
   const int lane = (int)get_local_id(0);
-  const uint end = first + count;
+  global const uint *restrict step = plan + get_global_offset(0) / LANES * PLAN_WORDS;
+  const uint sample = step[PLAN_SAMPLE], first = step[PLAN_FIRST], count = step[PLAN_COUNT], end = first + count;
   const uint tiles = (count + TILE - 1) / TILE;
   const float per_sample = 1.0f / ((float)count * SAMPLES_A_STEP * CHANNELS);
   global float *restrict own = partial + group * (ulong)PARTIAL_FLOATS;

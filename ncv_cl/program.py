@@ -96,6 +96,21 @@ class Kernel:
         plain = [a.buffer if isinstance(a, HostArray) else a for a in arguments]
         return self._kernel(self.device.queue, rounded, groups, *plain)
 
+    def bind(self, *arguments: Any) -> None:
+        """Set all arguments, for `repeat`."""
+        self._kernel.set_args(*(a.buffer if isinstance(a, HostArray) else a for a in arguments))
+
+    def repeat(self, number: int, work_items: int, group: int = GROUP_SIZE) -> None:
+        """Enqueue with the arguments that `bind` set: for kernels that run for microseconds only.
+
+        All that differs is `number`, in which the kernel can look up the rest: it is what
+        ``get_global_offset(0) / get_local_size(0)`` yields.
+        """
+        rounded = -(-work_items // group) * group
+        cl.enqueue_nd_range_kernel(
+            self.device.queue, self._kernel, (rounded,), (group,), (number * group,)
+        )
+
 
 class Program:
     """A built program; `kernel(name)` returns the same retained `Kernel` every time."""
@@ -119,8 +134,12 @@ class Program:
 
     def kernel(self, name: str) -> Kernel:
         if name not in self._kernels:
-            self._kernels[name] = Kernel(self.device, cl.Kernel(self._program, name))
+            self._kernels[name] = self.own_kernel(name)
         return self._kernels[name]
+
+    def own_kernel(self, name: str) -> Kernel:
+        """A kernel that nobody else has, for arguments that are to stay."""
+        return Kernel(self.device, cl.Kernel(self._program, name))
 
 
 _programs: dict[tuple[Any, ...], Program] = {}

@@ -26,6 +26,9 @@ MAX_TILE = 64
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
+# What a step's rows of `plan` and `rates` hold.
+PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
+RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,13 @@ class Trainer:
         self._parameters = _Averaged(device, self._layout.pack(network.parameters))
         self._table = TouchedTable(device, network.table, self._index.touched)
         self._program = self._build()
+        self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
+        tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
+        self._gradient_items = [(n + self._idle_groups) * device.lanes for n in tiles]
+        blocks = self._layout.size // device.vector_width
+        self._adam_items = [
+            blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
+        ]
         self._partial = HostArray(device, (GROUPS, self._layout.size), np.float32)
         self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
@@ -206,14 +216,16 @@ class Trainer:
         settings = self.settings
         step = min(settings.samples_a_step, self.samples)
         starts = range(0, self.samples - step + 1, step)
-        total = rounds * settings.passes * len(starts) * len(self._batches)
+        numbers = range(len(self._batches))
+        order = [(sample, n) for _ in range(settings.passes) for sample in starts for n in numbers]
+        self._bind(*self._plan(order, rounds * len(order)))
         losses = []
-        for _ in range(settings.passes):
-            losses.clear()
-            for sample in starts:
-                for number in range(len(self._batches)):
-                    self._step(sample, number, total)
+        for number, (_, batch) in enumerate(order):
+            self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
+            self._adam.repeat(number, self._adam_items[batch])
+            if batch == numbers[-1] and number >= len(order) - len(starts) * len(numbers):
                 losses.append(float(self._loss.read()[0]))
+        self._steps += len(order)
         return float(np.mean(losses))
 
     def network(self) -> Network:
@@ -246,19 +258,39 @@ class Trainer:
         channels = self._start.description.channels
         self._set_factors(np.full((channels, count), self._scale, np.float32))
 
-    def _step(self, sample: int, number: int, total: int) -> None:
-        settings, encoder, columns = self.settings, self._encoder, self._batches[number]
-        parameters, device = self._parameters, self.device
-        groups = min(GROUPS, -(-len(columns) // self._tile))
-        self._program.kernel("gradients")(
-            (groups + self._idle_groups) * device.lanes,
-            sample,
-            columns.start,
-            len(columns),
+    def _plan(self, order: list[tuple[int, int]], total: int) -> tuple[HostArray, HostArray]:
+        """What differs between steps of `order` (first sample, minibatch), as the kernels read it."""
+        settings = self.settings
+        plan = np.zeros((len(order), len(PLAN)), np.uint32)
+        sample, batch = np.array(order).T
+        columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
+        entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
+        groups = np.minimum(GROUPS, -(-columns[:, 1] // self._tile))
+        for word, values in enumerate((sample, *columns.T, groups, *entries.T)):
+            plan[:, word] = values
+        step = self._steps + 1.0 + np.arange(len(order))
+        decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum(step / total, 1.0)))
+        rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
+        rates = (
+            rate,
+            rate * settings.table_rate,
+            1.0 / (1.0 - settings.beta1**step),
+            1.0 / (1.0 - settings.beta2**step),
+            # A short memory at first, or the average would remember the random start.
+            np.minimum(settings.average_decay, (1 + step) / (10 + step)),
+        )
+        device = self.device
+        return HostArray.of(device, plan), HostArray.of(device, np.stack(rates, 1).astype(np.float32))
+
+    def _bind(self, plan: HostArray, rates: HostArray) -> None:
+        """Set the arguments of a step's two kernels."""
+        encoder, index, parameters = self._encoder, self._index, self._parameters
+        self._gradients.bind(
+            plan,
             encoder.stride,
             encoder.features,
             encoder.unit,
-            self._index.corner,
+            index.corner,
             self._table.state,
             self._u,
             self._v,
@@ -268,34 +300,19 @@ class Trainer:
             parameters.value,
             self._grid_gradient,
             self._partial,
-            group=device.lanes,
         )
-        self._steps += 1
-        step = self._steps
-        decay = 0.5 * (1.0 + math.cos(math.pi * min(step / total, 1.0)))
-        rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
-        adam = (
-            rate,
-            rate * settings.table_rate,
-            1.0 / (1.0 - settings.beta1**step),
-            1.0 / (1.0 - settings.beta2**step),
-            # A short memory at first, or the average would remember the random start.
-            min(settings.average_decay, (1 + step) / (10 + step)),
-        )
-        entries = self._index.batches[number]
-        self._program.kernel("adam")(
-            (self._layout.size + len(entries) - 1) // device.vector_width + 1,
-            groups,
-            entries.start,
-            entries.stop,
-            *adam,
+        self._adam.bind(
+            plan,
+            rates,
             self._partial,
             *parameters.arrays,
             self._loss,
-            *self._index.arrays,
+            *index.arrays,
             self._grid_gradient,
             self._table.state,
         )
+        # The kernels do not keep the arrays alive.
+        self._bound = plan, rates
 
     def _build(self) -> Program:
         description, settings, device = self._start.description, self.settings, self.device
@@ -320,6 +337,10 @@ class Trainer:
         defines = {
             **description.defines(),
             **layout.defines(),
+            **{f"PLAN_{name}": word for word, name in enumerate(PLAN)},
+            **{f"RATE_{name}": word for word, name in enumerate(RATES)},
+            "PLAN_WORDS": len(PLAN),
+            "RATE_FLOATS": len(RATES),
             "TILE": self._tile,
             "IDLE_GROUPS": f"{self._idle_groups}u",
             "ENTRY_FLOATS": f"{self._table.entry_floats}u",
