@@ -76,7 +76,7 @@ def calibrate(
     prior : ndarray, optional
         (points,), what the variance of a point's sample was predicted to be, up to a common factor.
     """
-    single, repeated = _steadied(first, prior), _steadied(second, prior)
+    single, repeated = steadied(first, prior), steadied(second, prior)
     expected = single / np.maximum(first.samples, 1)
     difference = first.mean[:, twice] - second.mean[:, twice]
     measured = 0.5 * difference**2
@@ -89,7 +89,7 @@ def calibrate(
     return replace(first, mean=mean, samples=samples, calibrated=variance)
 
 
-def _steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
+def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
     """Variances of single samples, (channels, points), each with the prior's mixed in."""
     if prior is None or not np.any(prior):
         return estimate.variance

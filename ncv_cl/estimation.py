@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from .allocate import Allocation
-from .calibrate import calibrate, local_mean, points_done_twice
+from .calibrate import calibrate, local_mean, points_done_twice, steadied
 from .density import Density
 from .device import Device
 from .estimate import Estimate, Estimator
@@ -72,10 +73,15 @@ class Estimation:
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g."""
         first = [self._first.result(quantity) for quantity in range(self._first.quantities)]
-        if self._second is None:
+        if not self._points.active:
             return first
         # The prior is for what the image is made of, which comes last.
         prior = self._prior(first[-1])
+        if self._second is None:
+            return [
+                replace(one, calibrated=steadied(one, prior) / np.maximum(one.samples, 1))
+                for one in first
+            ]
         return [
             calibrate(one, self._second.result(quantity), self.twice, prior)
             for quantity, one in enumerate(first)
