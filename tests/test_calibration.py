@@ -1,8 +1,8 @@
 """What renders say of their variance: errors over predicted deviations have a standard deviation of 1.
 
-Plain Monte Carlo of direct light is left out: Sobol points leave errors at the edges of shadows only, which
-a few samples of a point do not tell from a smooth variation as large. Single pixels may be several times
-off there, and the mean of so small an image rests on too few of them to be tested.
+Plain Monte Carlo of direct light is left out: Sobol points leave errors at the edges of shadows only,
+which a few samples of a point do not tell from a smooth variation as large. Single pixels may be several
+times off there, and the mean of so small an image rests on too few of them to be tested.
 """
 
 from __future__ import annotations

@@ -34,3 +34,63 @@ def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monk
     )
     assert image.stats["samples_per_point_range"] == [32, 64]
     assert np.isfinite(image.pixels).all() and image.pixels.any()
+
+
+@pytest.mark.parametrize("cost", [0.0, 1e30])
+def test_auto_chooses_by_what_the_network_costs(one_device, scenes, monkeypatch, cost):
+    monkeypatch.setattr("ncv_cl.auto.FIXED_INFERENCE_SAMPLES", cost)
+    monkeypatch.setattr("ncv_cl.auto.INFERENCE_SAMPLES_A_POINT", 0.0)
+    image = render(scenes / "cornell_box.toml", "direct", "auto", device=one_device, **OPTIONS)
+    assert image.stats["method"] == image.stats["auto"]["method"] == ("mc" if cost else "ncv")
+    assert ("G" in image.layers) == (not cost)
+    assert image.stats["auto"]["mc_seconds"] > 0
+
+
+def test_auto_that_keeps_to_monte_carlo_is_monte_carlo(one_device, scenes, monkeypatch):
+    monkeypatch.setattr("ncv_cl.auto.FIXED_INFERENCE_SAMPLES", 1e30)
+    options = {**OPTIONS, "spp": 96}
+    auto, plain = (
+        render(scenes / "cornell_box.toml", "direct", method, device=one_device, **options)
+        for method in ("auto", "mc")
+    )
+    assert auto.stats["samples_per_point"] == plain.stats["samples_per_point"]
+    # The same samples, in passes of other lengths.
+    np.testing.assert_allclose(auto.pixels, plain.pixels, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+def test_rendering_ends_at_the_error_asked_for(one_device, scenes, monkeypatch, method):
+    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 16)
+    options = {**OPTIONS, "spp": 1024, "size": (24, 24)}
+    full = render(scenes / "cornell_box.toml", "ao", method, device=one_device, **options)
+    target = 16 * float(full.variance.mean())
+    image = render(
+        scenes / "cornell_box.toml", "ao", method, device=one_device, target_mse=target, **options
+    )
+    assert image.stats["samples_per_point"] < 0.7 * full.stats["samples_per_point"]
+    # The last pass before was above it.
+    assert 0.3 * target < image.variance.mean() <= 1.1 * target
+
+
+def test_rendering_ends_in_time(one_device, scenes):
+    options = {**OPTIONS, "spp": 1 << 20, "size": (32, 32)}
+    image = render(scenes / "cornell_box.toml", "ao", "mc", device=one_device, time_limit=1.0, **options)
+    assert 0 < image.stats["samples_per_point"] < 1 << 20
+    assert image.stats["seconds"]["total"] < 10
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "mc", "density": "table"}, "plain Monte Carlo learns no residual"),
+        ({"method": "mc", "allocation": "magnitude"}, "plain Monte Carlo learns no residual"),
+        ({"method": "ncv", "allocation": "pilot"}, "'pilot' is for method 'mc'"),
+        ({"density": "tree"}, "density must be one of table, none"),
+        ({"allocation": "all"}, "allocation must be one of"),
+        ({"target_mse": 0}, "target_mse must be a positive number"),
+        ({"time_limit": -1.0}, "time_limit must be a positive number"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(one_device, scenes, options, message):
+    with pytest.raises(ValueError, match=message):
+        render(scenes / "cornell_box.toml", device=one_device, **options)
