@@ -201,25 +201,6 @@ void load_features(const uint column, const uint end, const uint stride, global 
   }
 }
 
-/* Lane k of the answer is the sum over the lanes of x[k]. */
-real sum_each(const real x[VEC]) {
-#if VEC == 1
-  return x[0];
-#else
-  real sums[VEC];
-#pragma unroll
-  for (int k = 0; k < VEC; ++k) sums[k] = x[k];
-  /* Neighbouring lanes are added and two vectors packed into one, until one vector is left. */
-#pragma unroll
-  for (int count = VEC / 2; count > 0; count /= 2) {
-#pragma unroll
-    for (int k = 0; k < count; ++k)
-      sums[k] = (real)(sums[2 * k].even, sums[2 * k + 1].even) + (real)(sums[2 * k].odd, sums[2 * k + 1].odd);
-  }
-  return sums[0];
-#endif
-}
-
 /* Adds to a group's own sums, or begins them. */
 void add_partial(const int is_first, const real value, global float *restrict own) {
   STORE(is_first ? value : value + LOAD(own), own);
@@ -243,7 +224,10 @@ void w2_gradient(const int lane, const int is_first, const float scale, local co
           sum[k] = FMA(delta, h1[(s * HIDDEN1 + min(i + k, HIDDEN1 - 1)) * TILE_BLOCKS + t], sum[k]);
       }
     }
-    add_partial(is_first, scale * sum_each(sum), own + p);
+    float sums[VEC];
+#pragma unroll
+    for (int k = 0; k < VEC; ++k) sums[k] = scale * sum_lanes(sum[k]);
+    add_partial(is_first, LOAD(sums), own + p);
   }
 }
 
@@ -267,7 +251,7 @@ void heads_gradient(const int lane, const int is_first, const float scale,
       for (int k = 0; k < BLOCKS_AT_ONCE; ++k) feature[k] = feature_columns[t * FEATURE_BLOCKS + block + k];
 #pragma unroll
       for (int r = 0; r < ROW_BLOCK; ++r) {
-        const real delta = (real)delta_theta[(row + r) * TILE + t];
+        const real delta = (real)delta_theta[min(row + r, HEAD_ROWS - 1) * TILE + t];
 #pragma unroll
         for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = FMA(delta, feature[k], sum[r][k]);
       }
@@ -312,8 +296,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
   local real feature_rows[FEATURES * TILE_BLOCKS];
   local real feature_columns[TILE * FEATURE_BLOCKS];
   local real theta[THETA_ROWS * TILE_BLOCKS];
-  /* Whole blocks of rows are read, the last one's rest unused. */
-  local real delta_theta[(THETA_ROWS + ROW_BLOCK) * TILE_BLOCKS];
+  local real delta_theta[THETA_ROWS * TILE_BLOCKS];
   local real h1[SAMPLES_A_STEP * HIDDEN1 * TILE_BLOCKS];
   local real delta2[SAMPLES_A_STEP * HIDDEN2 * TILE_BLOCKS];
   local real losses[TILE_BLOCKS];

@@ -54,6 +54,17 @@ def test_methods_meet_rational_arithmetic(device, widths, method):
 
 
 @pytest.mark.parametrize("method", ["decoupled", "full"])
+def test_scaling_changes_no_bit(device, method):
+    # 2^40 moved from layer to layer: such weights are scaled first, ordinary ones are not.
+    weights, biases = random_network((2, 6, 5, 2), 3, seed=8)
+    plain = integrate(weights, biases, method=method, device=device)
+    weights[0] *= np.float32(2.0**40)
+    biases[0] *= np.float32(2.0**40)
+    weights[1] *= np.float32(2.0**-40)
+    assert np.array_equal(integrate(weights, biases, method=method, device=device), plain)
+
+
+@pytest.mark.parametrize("method", ["decoupled", "full"])
 def test_float64_and_leaky_relu(device, method):
     if not device.has_float64:
         pytest.skip("no double precision")
