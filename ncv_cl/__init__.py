@@ -7,6 +7,7 @@ exact, and Monte Carlo estimates what it leaves.
 from __future__ import annotations
 
 from .choose import choose_device, devices
+from .custom import Integrals, estimate
 from .device import Device, DeviceError
 from .image import Image
 from .integrands import AmbientOcclusion, DirectLight, Integrand, IntegrandError
@@ -22,6 +23,7 @@ __all__ = [
     "DeviceError",
     "DirectLight",
     "Image",
+    "Integrals",
     "Integrand",
     "IntegrandError",
     "Network",
@@ -32,6 +34,7 @@ __all__ = [
     "choose_device",
     "devices",
     "draw_subdivision",
+    "estimate",
     "integrate",
     "load_scene",
     "render",

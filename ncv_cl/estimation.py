@@ -15,7 +15,7 @@ from .estimate import Estimate, Estimator
 from .network import FoldedNetwork
 from .passes import Passes, Target
 from .sampler import Stream
-from .samples import SampleSource
+from .samples import Batches
 from .settings import RenderSettings, Stopwatch
 
 
@@ -45,7 +45,7 @@ class Estimation:
     def __init__(
         self,
         device: Device,
-        source: SampleSource,
+        source: Batches,
         settings: RenderSettings,
         allocation: Allocation,
         edges: Sequence[int],

@@ -16,8 +16,7 @@ from .network import FoldedNetwork, Network
 from .points import ShadingPoints
 from .presets import PRESETS
 from .sampler import Stream
-from .samples import SampleSource
-from .scene import Scene
+from .samples import Batches
 from .settings import RenderSettings, Stopwatch
 from .train import Trainer, TrainSettings
 
@@ -50,8 +49,8 @@ class Learned:
 
 def learn(
     device: Device,
-    scene: Scene,
-    source: SampleSource,
+    cube: GridCube,
+    source: Batches,
     settings: RenderSettings,
     inputs: tuple[str, ...],
     factor: Callable[[bool], HostArray | None],
@@ -62,6 +61,8 @@ def learn(
 
     Parameters
     ----------
+    cube : GridCube
+        What the network's hash grid divides.
     inputs : tuple of str
         What varies over the points, as `encode.varying_inputs` finds it.
     factor : callable
@@ -72,7 +73,7 @@ def learn(
     preset = PRESETS[settings.preset]
     with watch("train"):
         description = preset.description(settings.integrand, inputs)
-        start = Network.random(description, GridCube.around(scene.bounds), settings.seed)
+        start = Network.random(description, cube, settings.seed)
         chosen, samples = settings.training_points(
             source.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
         )
@@ -89,7 +90,7 @@ def learn(
 
 def _fit(
     device: Device,
-    source: SampleSource,
+    source: Batches,
     settings: RenderSettings,
     start: Network,
     schedule: TrainSettings,

@@ -12,7 +12,7 @@ from .allocate import Allocation
 from .device import Device, HostArray
 from .estimate import Estimator
 from .sampler import Stream
-from .samples import SampleSource
+from .samples import Batches
 from .settings import Stopwatch
 
 
@@ -53,7 +53,7 @@ class Passes:
     def __init__(
         self,
         device: Device,
-        source: SampleSource,
+        source: Batches,
         targets: list[Target],
         edges: Sequence[int],
         density: HostArray | None,

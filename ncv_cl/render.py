@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +14,13 @@ from .allocate import Allocation, allocate
 from .auto import FIRST_SAMPLES, Prediction, predict
 from .checkpoint import Checkpoint
 from .choose import choose_device
-from .density import Density, DensityNetwork, tabulate
+from .density import DensityNetwork, tabulate
 from .device import Device, HostArray
-from .encode import varying_inputs
+from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .estimation import Estimation
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .integrator import Integrator
 from .learn import learn, learn_density
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
@@ -35,6 +33,7 @@ from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .trace import Tracer
+from .variate import ControlVariate, integrals_of
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 RESIDUAL_PASS = 128
@@ -165,27 +164,6 @@ def render(
 
 
 @dataclass(frozen=True)
-class _ControlVariate:
-    """What the network stage hands to the estimate.
-
-    Attributes
-    ----------
-    folded : FoldedNetwork
-    integral : ndarray
-        float32 (channels, points), G of each active point.
-    density : Density, optional
-        Where the residual is.
-    learned : DensityNetwork, optional
-        What predicts it.
-    """
-
-    folded: FoldedNetwork
-    integral: np.ndarray
-    density: Density | None
-    learned: DensityNetwork | None
-
-
-@dataclass(frozen=True)
 class _Keep:
     """Where to keep checkpoints, under which identity, and the one to go on from."""
 
@@ -290,7 +268,7 @@ class _Rendering:
         image: Image,
         plain: Estimate,
         residual: Estimate | None,
-        variate: _ControlVariate | None,
+        variate: ControlVariate | None,
     ) -> None:
         """Statistics and metadata."""
         rays, active = self.source.rays, self.points.active
@@ -316,14 +294,21 @@ class _Rendering:
         network: Network | None,
         density: DensityNetwork | None,
         save_network: str | Path | None,
-    ) -> _ControlVariate | None:
+    ) -> ControlVariate | None:
         """Train (or take) the networks, fold and integrate; None where training fails twice."""
         settings, device = self.settings, self.device
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         trainer = None
         if network is None:
             learned = learn(
-                device, self.scene, self.source, settings, inputs, self._factor, self.watch, self.stop
+                device,
+                GridCube.around(self.scene.bounds),
+                self.source,
+                settings,
+                inputs,
+                self._factor,
+                self.watch,
+                self.stop,
             )
             network, trainer = learned.network, learned.trainer
             # The first pass of "auto" has more samples than training.
@@ -345,7 +330,9 @@ class _Rendering:
                     table = tabulate(device, density, network, self.points, unit)
         if save_network is not None:
             network.save(save_network, **(density.arrays() if density is not None else {}))
-        return _ControlVariate(folded, self._integrate(folded), table, density)
+        with self.watch("integrate"):
+            integral = integrals_of(device, folded, self.points.active)
+        return ControlVariate(folded, integral, table, density)
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
@@ -361,28 +348,9 @@ class _Rendering:
     def _unshadowed_means(self) -> HostArray:
         return self.source.unshadowed_means()
 
-    def _integrate(self, folded: FoldedNetwork) -> np.ndarray:
-        """G of every active point, float32 (channels, points)."""
-        with self.watch("integrate"):
-            description = folded.network.description
-            integrator = Integrator(
-                self.device,
-                widths=(2, *description.hidden, description.channels),
-                per_point_weights=folded.per_point[0],
-                per_point_biases=folded.per_point[1],
-            )
-            integral = HostArray(self.device, (self.points.active, description.channels), np.float32)
-            statistics = integrator.run(*folded.layers(), integral)
-            if statistics.uncertified_points:
-                warnings.warn(
-                    f"{statistics.uncertified_points} exact integrals failed their certification",
-                    stacklevel=5,
-                )
-            return integral.read().T
-
     # ---- samples -------------------------------------------------------------------------------------
 
-    def _allocate(self, variate: _ControlVariate | None) -> Allocation:
+    def _allocate(self, variate: ControlVariate | None) -> Allocation:
         """How many samples each point gets."""
         settings = self.settings
         everything = Allocation.uniform(np.arange(self.points.active, dtype=np.uint32), settings.spp)
@@ -409,7 +377,7 @@ class _Rendering:
     def _begin(
         self,
         allocation: Allocation,
-        variate: _ControlVariate | None,
+        variate: ControlVariate | None,
         first_pass: int | None = None,
     ) -> Estimation:
         settings = self.settings
@@ -434,7 +402,7 @@ class _Rendering:
         return estimation
 
     def _finish(
-        self, estimation: Estimation, variate: _ControlVariate | None, first: int
+        self, estimation: Estimation, variate: ControlVariate | None, first: int
     ) -> tuple[Estimate, Estimate | None]:
         """Draw the passes from `first` on, until a target is met; estimates of f and of f − g."""
         settings = self.settings
@@ -459,7 +427,7 @@ class _Rendering:
         return results[0], results[1] if len(results) > 1 else None
 
     def _write_checkpoint(
-        self, estimation: Estimation, variate: _ControlVariate | None, passes: int
+        self, estimation: Estimation, variate: ControlVariate | None, passes: int
     ) -> None:
         if self.keep.path is None:
             return

@@ -75,51 +75,24 @@ class Batch:
     weight: HostArray | None = None
 
 
-class SampleSource:
-    """Draws samples of one integrand at the shading points of one image.
+class Batches:
+    """Memory for batches of samples, and how work is cut to fit it.
 
     Parameters
     ----------
-    device, scene, tracer, points, integrand
-    sampler : {"independent", "sobol"}
-    seed : int
+    device, points
+    channels : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
     """
 
     def __init__(
-        self,
-        device: Device,
-        scene: Scene,
-        tracer: Tracer,
-        points: ShadingPoints,
-        integrand: Integrand,
-        sampler: str,
-        seed: int,
-        samples_per_point: int,
+        self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
     ) -> None:
         self.device = device
         self.points = points
-        self.channels = integrand.channels
-        self.rays = RayCount()
-        self._tracer = tracer
-        self._seed = seed_words(seed)
-        self._data = HostArray.of(device, integrand.data(scene))
-        defines = {
-            **surface_defines(),
-            **sampler_defines(sampler),
-            **integrand.defines(scene),
-            "NO_RAY": f"{NO_RAY}u",
-            "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
-            "WARPED": 0,
-        }
-        files = ("common", "sampler", "surface", *integrand.files, "samples")
-        self._program = build(device, files, defines)
-        # Built when first asked for: most renders draw uniformly only, or by density only.
-        self._warped_files = ("common", "sampler", "surface", *integrand.files, "warp", "samples")
-        self._warped_defines = {**defines, "WARPED": 1, "DENSITY_BINS": DENSITY_BINS}
+        self.channels = channels
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
-
         self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
         capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN)
@@ -129,10 +102,6 @@ class SampleSource:
         self._weight = HostArray(device, capacity, np.float32)
         self._slot = HostArray(device, capacity, np.uint32)
         self._visible = HostArray(device, capacity, np.uint8)
-        self._origins = HostArray(device, (capacity, 3), np.float32)
-        self._directions = HostArray(device, (capacity, 3), np.float32)
-        self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 1, np.uint32)
 
     def batches(self, count: int | None = None) -> list[range]:
         """`count` points (all active ones by default) cut into ranges that fit a batch."""
@@ -155,6 +124,54 @@ class SampleSource:
     def _stride_of(self, samples: int) -> int:
         """`samples` rounded up to whole vectors."""
         return -(-samples // self.device.vector_width) * self.device.vector_width
+
+
+class SampleSource(Batches):
+    """Draws samples of one integrand at the shading points of one image.
+
+    Parameters
+    ----------
+    device, scene, tracer, points, integrand
+    sampler : {"independent", "sobol"}
+    seed : int
+    samples_per_point : int
+        Samples a point that `batches` leaves room for.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        tracer: Tracer,
+        points: ShadingPoints,
+        integrand: Integrand,
+        sampler: str,
+        seed: int,
+        samples_per_point: int,
+    ) -> None:
+        super().__init__(device, points, integrand.channels, samples_per_point)
+        self.rays = RayCount()
+        self._tracer = tracer
+        self._seed = seed_words(seed)
+        self._data = HostArray.of(device, integrand.data(scene))
+        defines = {
+            **surface_defines(),
+            **sampler_defines(sampler),
+            **integrand.defines(scene),
+            "NO_RAY": f"{NO_RAY}u",
+            "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
+            "WARPED": 0,
+        }
+        files = ("common", "sampler", "surface", *integrand.files, "samples")
+        self._program = build(device, files, defines)
+        # Built when first asked for: most renders draw uniformly only, or by density only.
+        self._warped_files = ("common", "sampler", "surface", *integrand.files, "warp", "samples")
+        self._warped_defines = {**defines, "WARPED": 1, "DENSITY_BINS": DENSITY_BINS}
+        capacity = self._capacity
+        self._origins = HostArray(device, (capacity, 3), np.float32)
+        self._directions = HostArray(device, (capacity, 3), np.float32)
+        self._distances = HostArray(device, capacity, np.float32)
+        self._ray_count = HostArray(device, 1, np.uint32)
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""

@@ -31,7 +31,8 @@ ORDER = (
     "allocate calibrate density integrate presets resolve",
     "settings subdivide",
     "auto checkpoint learn passes report",
-    "estimation",
+    "estimation variate",
+    "custom",
     "render",
     "cli __init__",
 )
@@ -39,17 +40,18 @@ RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
     "train": {"density", "learn", "presets"},
-    "density": {"checkpoint", "estimation", "learn", "render"},
-    "learn": {"render"},
+    "density": {"checkpoint", "custom", "estimation", "learn", "render", "variate"},
+    "learn": {"custom", "render"},
     "auto": {"render"},
-    "passes": {"estimation", "render"},
-    "estimation": {"render"},
-    "integrator": {"cli", "integrate", "subdivide", "render"},
+    "passes": {"custom", "estimation", "render"},
+    "estimation": {"custom", "render"},
+    "integrator": {"cli", "integrate", "subdivide", "variate"},
     "integrate": {"cli", "subdivide", "__init__"},
     "estimate": {
         "auto",
         "calibrate",
         "checkpoint",
+        "custom",
         "estimation",
         "learn",
         "passes",
@@ -57,7 +59,7 @@ USERS = {
         "report",
         "resolve",
     },
-    "resolve": {"render"},
+    "resolve": {"custom", "render"},
     "render": {"cli", "__init__"},
     "cli": set(),
 }

@@ -1,0 +1,281 @@
+"""Integrals of other people's functions over the unit square, by the renderer's own machinery."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .allocate import Allocation, allocate
+from .choose import choose_device
+from .density import tabulate
+from .device import Device, HostArray
+from .encode import GridCube
+from .estimate import Estimate
+from .estimation import Estimation
+from .integrands import Integrand, IntegrandError
+from .learn import learn, learn_density
+from .network import FoldedNetwork
+from .passes import pass_edges
+from .points import ROW, ROW_COUNT, ShadingPoints
+from .presets import PRESETS
+from .program import build
+from .resolve import combine, estimate_of
+from .sampler import sampler_defines, seed_words
+from .samples import DENSITY_BINS, NO_RAY, Batch, Batches
+from .scene import Scene
+from .settings import RenderSettings, Stopwatch
+from .variate import ControlVariate, integrals_of
+
+# Samples a point on average in one call of the callable, about.
+SAMPLES_A_PASS = 128
+
+Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class HostIntegrand(Integrand):
+    """An integrand that a Python callable evaluates."""
+
+    name = "custom"
+    files = ()
+    inputs = ("position",)
+    demodulated = False
+    emitters_active = True
+    channels = 1
+
+    def __init__(self, channels: int) -> None:
+        self.channels = channels
+
+    def data(self, scene: Scene) -> np.ndarray:
+        return np.empty(0, np.float32)
+
+    def defines(self, scene: Scene) -> dict[str, int]:
+        return {"CHANNELS": self.channels}
+
+
+class CallableSource(Batches):
+    """Draws samples of a callable, as `SampleSource` does of a scene's integrand."""
+
+    def __init__(
+        self,
+        device: Device,
+        points: ShadingPoints,
+        function: Function,
+        channels: int,
+        sampler: str,
+        seed: int,
+    ) -> None:
+        super().__init__(device, points, channels, SAMPLES_A_PASS)
+        self._function = function
+        self._seed = seed_words(seed)
+        self._defines = {
+            **sampler_defines(sampler),
+            "DENSITY_BINS": DENSITY_BINS,
+            "NO_RAY": f"{NO_RAY}u",
+        }
+        with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
+            slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: HostArray | None = None,
+    ) -> Batch:
+        order = self._every_point if order is None else order
+        stride = self._stride_of(len(samples))
+        warp = [] if density is None else [density, self._weight]
+        files = ("common", "sampler", *(("warp",) if warp else ()), "custom")
+        program = build(self.device, files, {**self._defines, "WARPED": int(bool(warp))})
+        program.kernel("draw_coordinates")(
+            len(points) * stride // self.device.vector_width,
+            points.start,
+            len(points),
+            samples.start,
+            stride,
+            stream,
+            *self._seed,
+            order,
+            *warp,
+            self._u,
+            self._v,
+        )
+        count, shape = len(points) * stride, (len(points), stride)
+        u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
+        chosen = order.read()[points.start : points.stop]
+        index = np.broadcast_to(chosen[:, None], u.shape)
+        values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
+        with self._value.mapped(write=True) as view:
+            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+            planes[..., : len(samples)] = values.T.reshape(self.channels, *u.shape)
+            planes[..., len(samples) :] = 0
+        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(points, order, len(samples), stride, *arrays, *warp[1:])
+
+    def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """float32 (samples, channels), checked."""
+        values = np.asarray(self._function(u, v, index))
+        if values.shape not in ((u.size, self.channels), *(((u.size,),) if self.channels == 1 else ())):
+            raise IntegrandError(
+                f"f must return {(u.size, self.channels)} values for {u.size} samples, "
+                f"returned {values.shape}"
+            )
+        values = values.reshape(u.size, self.channels).astype(np.float32)
+        if not np.isfinite(values).all():
+            worst = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            raise IntegrandError(
+                f"f is not finite at u = {u[worst]}, v = {v[worst]}, point {index[worst]}"
+            )
+        return values
+
+
+@dataclass(frozen=True)
+class Integrals:
+    """Estimates of integrals.
+
+    Attributes
+    ----------
+    mean, variance : ndarray
+        float64 (points, channels): the estimates, and the variances of these.
+    network_integral : ndarray or None
+        float64 (points, channels), the exact integral of the control variate.
+    stats : dict
+        Seconds, samples, and the residual's variance over the function's.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    network_integral: np.ndarray | None
+    stats: dict[str, object]
+
+
+def estimate(
+    f: Function,
+    points: int = 1,
+    features: np.ndarray | None = None,
+    channels: int = 1,
+    method: str = "ncv",
+    sampler: str = "sobol",
+    spp: int = 256,
+    train_spp: float | str = "auto",
+    seed: int = 0,
+    preset: str = "default",
+    density: str | None = None,
+    allocation: str | None = None,
+    device: Device | int | str | None = None,
+) -> Integrals:
+    """Estimate ∫ f(u, v | point) du dv over the unit square for every point.
+
+    Parameters
+    ----------
+    f : callable
+        f(u, v, point) of float32 (n,), float32 (n,) and uint32 (n,) arrays returns (n, channels)
+        numbers, or (n,) for one channel. Called with many samples at a time, from this thread only.
+    points : int
+        How many integrals.
+    features : ndarray, optional
+        (points, 1 to 3): what tells the integrals apart, as coordinates in a space where near points
+        have similar integrands. Without it all points share one function of (u, v).
+    channels : int
+        Values of f.
+    method : {"ncv", "mc"}
+    sampler, spp, train_spp, seed, preset, density, allocation, device
+        As `render` takes them; `spp` and `train_spp` are samples a point.
+
+    Returns
+    -------
+    Integrals
+
+    Raises
+    ------
+    IntegrandError
+        If f returns another shape than it should, or a number that is not finite.
+    ValueError
+        For bad arguments.
+    """
+    if int(points) != points or points < 1 or int(channels) != channels or channels < 1:
+        raise ValueError(f"points and channels must be at least 1, got {points!r} and {channels!r}")
+    if method not in ("ncv", "mc"):
+        raise ValueError(f"method must be ncv or mc, got {method!r}")
+    settings = RenderSettings(
+        HostIntegrand(channels), method, sampler, spp, train_spp, (points, 1), 1, seed, preset, density,
+        allocation,
+    )  # fmt: skip
+    if settings.allocation == "pilot":
+        raise ValueError("allocation 'pilot' is for scenes")
+    device, watch = choose_device(device), Stopwatch()
+    started = time.perf_counter()
+    shading, cube = _points_of(device, points, features)
+    source = CallableSource(device, shading, f, channels, sampler, seed)
+    variate = training = None
+    if method == "ncv":
+        variate, training = _control_variate(device, source, settings, cube, watch)
+    if variate is not None and variate.density is not None and settings.allocates:
+        chosen = Allocation.of_counts(allocate(variate.density.magnitude, spp))
+    else:
+        chosen = Allocation.uniform(np.arange(points, dtype=np.uint32), spp)
+    folded, table = (variate.folded, variate.density) if variate else (None, None)
+    edges = pass_edges(spp, SAMPLES_A_PASS, SAMPLES_A_PASS)
+    estimation = Estimation(device, source, settings, chosen, edges, folded, table, watch)
+    estimation.passes.run("estimate")
+    results = estimation.results()
+    by_count = None if PRESETS[preset].density else float(spp)
+    integral = variate.integral if variate else None
+    residual = results[1] if variate else None
+    mean, variance = combine(*estimate_of(results[0], residual, integral), training, by_count)
+    stats: dict[str, object] = {
+        "seconds": {**watch.seconds, "total": time.perf_counter() - started},
+        "samples_per_point": float(results[0].samples.mean()),
+        "training_samples_per_point": float(training.samples.mean()) if training else 0.0,
+        "device": device.identity,
+    }
+    if residual is not None and training is not None and training.variance.any():
+        stats["residual_variance_ratio"] = float(residual.variance.mean() / training.variance.mean())
+    return Integrals(
+        mean.T, variance.T, None if integral is None else integral.T.astype(np.float64), stats
+    )
+
+
+def _points_of(
+    device: Device, points: int, features: np.ndarray | None
+) -> tuple[ShadingPoints, GridCube]:
+    """Points whose positions are the features, and the cube around these."""
+    positions = np.zeros((points, 3), np.float32)
+    if features is not None:
+        features = np.asarray(features, np.float32)
+        if features.ndim != 2 or len(features) != points or not 1 <= features.shape[1] <= 3:
+            raise ValueError(f"features must be ({points}, 1 to 3), is {features.shape}")
+        if not np.isfinite(features).all():
+            raise ValueError("features must be finite")
+        # Each axis at its own scale: what differs by much on one may differ by little on another.
+        lower, upper = features.min(axis=0), features.max(axis=0)
+        positions[:, : features.shape[1]] = (features - lower) / np.where(
+            upper > lower, upper - lower, 1
+        )
+    surface = np.zeros((ROW_COUNT, points), np.float32)
+    surface[ROW["POSITION"] : ROW["POSITION"] + 3] = positions.T
+    nowhere = np.full(points, -1, np.int32)
+    shading = ShadingPoints(
+        HostArray.of(device, surface), np.arange(points, dtype=np.uint32), nowhere, points, 0
+    )
+    return shading, GridCube((0.0, 0.0, 0.0), 1.0)
+
+
+def _control_variate(
+    device: Device, source: CallableSource, settings: RenderSettings, cube: GridCube, watch: Stopwatch
+) -> tuple[ControlVariate | None, Estimate]:
+    """The control variate, None where training diverged twice; and the training samples' estimate."""
+    learned = learn(device, cube, source, settings, ("position",), lambda _: None, watch, lambda: False)
+    if learned.network is None:
+        return None, learned.estimate
+    folded = FoldedNetwork(device, learned.network, source.points)
+    predictor = table = None
+    if settings.uses_density or settings.allocates:
+        predictor = learn_density(device, source.points, folded, learned.trainer, None)
+        table = tabulate(device, predictor, learned.network, source.points)
+    integral = integrals_of(device, folded, source.points.active)
+    return ControlVariate(folded, integral, table, predictor), learned.estimate
