@@ -158,6 +158,9 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
   }
 }
 
+/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
+#define TINY 1e-30f
+
 /* One Adam step (Kingma and Ba 2015, algorithm 1), VEC parameters a work-item. */
 kernel void density_adam(const uint groups, const float rate, const float correction1,
                          const float correction2, global const float *restrict partial,
@@ -167,8 +170,8 @@ kernel void density_adam(const uint groups, const float rate, const float correc
   if (p >= DENSITY_PARAMETERS) return;
   real gradient = (real)0.0f;
   for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)DENSITY_PARAMETERS + p);
-  const real m1 = FMA((real)ADAM_BETA1, LOAD(moment1 + p), (1.0f - ADAM_BETA1) * gradient);
-  const real m2 = FMA((real)ADAM_BETA2, LOAD(moment2 + p), (1.0f - ADAM_BETA2) * gradient * gradient);
+  const real m1 = FMA((real)ADAM_BETA1, LOAD(moment1 + p), (1.0f - ADAM_BETA1) * gradient + TINY);
+  const real m2 = FMA((real)ADAM_BETA2, LOAD(moment2 + p), (1.0f - ADAM_BETA2) * gradient * gradient + TINY);
   STORE(m1, moment1 + p);
   STORE(m2, moment2 + p);
   const real step = rate * correction1 * m1 / (sqrt(m2 * correction2) + ADAM_EPSILON);
