@@ -102,20 +102,25 @@ def allocate(
     if not len(magnitude):
         return np.zeros(0, np.int64)
     fewest = min(fewest, 1 << (average.bit_length() - 1))
-    weight = np.asarray(magnitude, np.float64) ** power
-    if not weight.any():
-        return np.full(len(weight), average, np.int64)
+    most = 1 << (LARGEST_SHARE * average).bit_length() - 1
+    with np.errstate(divide="ignore"):
+        # Of zero: minus infinity, which gets the fewest.
+        wanted = power * np.log2(np.asarray(magnitude, np.float64))
+    if not np.isfinite(wanted).any():
+        return np.full(len(wanted), average, np.int64)
+    ranked = np.sort(wanted)
+    levels = np.arange(fewest.bit_length() - 1, most.bit_length())
+    numbers = np.exp2(levels)
 
-    def counts(scale: float) -> np.ndarray:
-        wanted = np.clip(weight * scale, fewest, LARGEST_SHARE * average)
-        return np.exp2(np.rint(np.log2(wanted)))
+    def mean(shift: float) -> float:
+        """Of the numbers of samples where the logarithms of the weights are shifted."""
+        # Points up to the middle between two levels, in logarithms, belong to the lower one.
+        ends = np.searchsorted(ranked, levels[:-1] + 0.5 - shift, side="left")
+        return float(np.diff(ends, prepend=0, append=len(ranked)) @ numbers) / len(ranked)
 
-    # Bisection of the logarithm of the scale: the mean grows with it.
-    low, high = np.log(fewest / weight.max()) - 1, np.log(LARGEST_SHARE * average / weight.mean()) + 40
+    low, high = levels[0] - ranked[-1] - 1, levels[-1] - ranked[np.isfinite(ranked)][0] + 1
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if counts(np.exp(middle)).mean() > average:
-            high = middle
-        else:
-            low = middle
-    return counts(np.exp(low)).astype(np.int64)
+        low, high = (low, middle) if mean(middle) > average else (middle, high)
+    level = np.searchsorted(levels[:-1] + 0.5 - low, wanted, side="right")
+    return numbers[level].astype(np.int64)

@@ -14,10 +14,10 @@ from .probe import cached_probe
 FIRST_SAMPLES = 16
 # Training in inference samples of the probe's network; then what folding, tabulating and integrating
 # take at a point.
-FIXED_INFERENCE_SAMPLES = 6e7
+FIXED_INFERENCE_SAMPLES = 5e7
 INFERENCE_SAMPLES_A_POINT = 150.0
 # What a sample of the control variate costs more, with its rays where the shadows' edges are.
-SAMPLE_COST = 1.3
+SAMPLE_COST = 1.4
 # By how much the variance falls where all points are alike, measured over the shipped scenes; the rest
 # is what allocation brings.
 DENSITY_GAIN = 1.6

@@ -83,7 +83,7 @@ def render(
         Samples a shading point on average: of the residual for "ncv", of the integrand for "mc".
     train_spp : float or "auto"
         Training samples a shading point ("ncv"), on average: few samples a point are drawn as more of
-        them at fewer points. "auto" draws about a million in all, at most `spp` / 4 a point. Their own
+        them at fewer points. "auto" draws half a million in all, at most `spp` / 4 a point. Their own
         estimate enters the image by its inverse variance.
     size : (int, int)
         Width and height, pixels.
