@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ncv_cl import AmbientOcclusion, DirectLight, integrate, program, render
+from ncv_cl import AmbientOcclusion, DirectLight, estimate, integrate, program, render
 from ncv_cl.device import GPU_LANES, Device, open_device
 from ncv_cl.integrator import AREA_TOLERANCE
 from ncv_cl.presets import PRESETS
@@ -81,6 +81,12 @@ def render_everything(device: Device, folder: Path) -> None:
         )
 
 
+def estimate_everything(device: Device) -> None:
+    """Integrals of a callable, sampled uniformly and by a density."""
+    for method in ("mc", "ncv"):
+        estimate(lambda u, v, point: u, method=method, spp=2, train_spp=1, device=device)
+
+
 def integrate_everything(device: Device) -> None:
     """Integrals by each method in each precision, with one hidden layer and with two."""
     cases = [
@@ -113,6 +119,7 @@ def programs(one_device, tmp_path_factory):
         for vec, lanes in itertools.product((1, 16), (1, GPU_LANES)):
             device = open_device(one_device.cl_device, one_device.index, vec, lanes)
             render_everything(device, tmp_path_factory.mktemp("scene"))
+            estimate_everything(device)
             integrate_everything(device)
         return [(one.files, one.defines) for one in built.values()]
 
