@@ -65,7 +65,8 @@ PRESETS = {
         density=True,
     ),
     # The slides' network and schedule: two layers of 32, φ in the first bias alone, one sample of
-    # every point an iteration, one Adam step each.
+    # every point an iteration, one Adam step each. Not to the letter: the hash grid's table is stepped
+    # by its second moments alone, as all our tables are, without Adam's momentum.
     "slides": Preset(
         hidden=(32, 32),
         modulated=("B1",),
