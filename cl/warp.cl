@@ -26,24 +26,42 @@ real gather(global const float *restrict array, const whole at) {
 }
 #endif
 
-/* Sends x through the inverse of the distribution that starts at `row`; returns the bin it falls into and
- * divides `inverse_density` by the density along this axis. */
-whole warp_axis(global const float *restrict record, const whole row, real *x, real *inverse_density) {
-  whole bin = row;
+/* Places x, which lies between the cumulative probabilities of bin `number`, in the bin; divides
+ * `inverse_density` by the density along this axis. */
+void place_in_bin(const whole number, const real lower, const real upper, real *x, real *inverse_density) {
+  const real inverse = 1.0f / (upper - lower);
+  *inverse_density *= inverse * (1.0f / (float)DENSITY_BINS);
+  *x = min((TO_REAL(number) + (*x - lower) * inverse) * (1.0f / (float)DENSITY_BINS), (real)BELOW_ONE);
+}
+
+/* Sends u through the inverse of the strips' distribution, whose edges all lanes share; returns the strips. */
+whole warp_to_strip(global const float *restrict record, real *u, real *inverse_density) {
+  whole strip = (whole)0;
+  real lower = (real)0.0f;
+  real upper = (real)record[1];
+  for (int edge = 1; edge < DENSITY_BINS; ++edge) {
+    const whole above = *u >= record[edge];
+    strip = SELECT(strip, (whole)edge, above);
+    lower = SELECT(lower, (real)record[edge], above);
+    upper = SELECT(upper, (real)record[edge + 1], above);
+  }
+  place_in_bin(strip, lower, upper, u, inverse_density);
+  return strip;
+}
+
+/* Sends v through the inverse of the distribution of its strip's cells: each lane searches a row of its own. */
+void warp_in_strip(global const float *restrict record, const whole strip, real *v, real *inverse_density) {
+  const whole row = (strip + 1) * DENSITY_ROW;
+  whole cell = row;
   for (int step = DENSITY_BINS / 2; step > 0; step /= 2)
-    bin = SELECT(bin, bin + step, *x >= gather(record, bin + step));
-  const real lower = gather(record, bin);
-  const real probability = gather(record, bin + 1) - lower;
-  const whole number = bin - row;
-  *inverse_density /= (float)DENSITY_BINS * probability;
-  *x = min((TO_REAL(number) + (*x - lower) / probability) * (1.0f / (float)DENSITY_BINS), (real)BELOW_ONE);
-  return number;
+    cell = SELECT(cell, cell + step, *v >= gather(record, cell + step));
+  place_in_bin(cell - row, gather(record, cell), gather(record, cell + 1), v, inverse_density);
 }
 
 /* Warps (u, v); returns one over the density there. */
 real warp_square(global const float *restrict record, real *u, real *v) {
   real inverse_density = (real)1.0f;
-  const whole strip = warp_axis(record, (whole)0, u, &inverse_density);
-  warp_axis(record, (strip + 1) * DENSITY_ROW, v, &inverse_density);
+  const whole strip = warp_to_strip(record, u, &inverse_density);
+  warp_in_strip(record, strip, v, &inverse_density);
   return inverse_density;
 }
