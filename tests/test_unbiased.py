@@ -140,7 +140,7 @@ def test_image_agrees_with_the_reference(
 
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("integrand", INTEGRANDS)
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ("mc", "ncv"))
 def test_a_bias_of_one_percent_is_noticed(one_device, scenes, reference, scene, integrand, method):
     found = sample(one_device, scenes, scene, integrand, method, "sobol")
     for factor in (0.99, 1.01):
