@@ -140,7 +140,8 @@ class Integrals:
     Attributes
     ----------
     mean, variance : ndarray
-        float64 (points, channels): the estimates, and the variances of these.
+        float64 (points, channels): the estimates, and the variances of these. Under Sobol sampling the
+        latter are calibrated by a share of the points: with less than some hundreds they are coarse.
     network_integral : ndarray or None
         float64 (points, channels), the exact integral of the control variate.
     stats : dict
