@@ -16,11 +16,11 @@ FIRST_SAMPLES = 16
 # take at a point.
 FIXED_INFERENCE_SAMPLES = 5e7
 INFERENCE_SAMPLES_A_POINT = 150.0
-# What a sample of the control variate costs more, with its rays where the shadows' edges are: 1.2 to 2 on
-# the shipped scenes.
+# What a sample of the control variate costs more, with its rays where the shadows' edges are: 1.2 to 2
+# on the shipped scenes.
 SAMPLE_COST = 1.4
-# By how much the variance falls where all points are alike, as for the shipped scenes' ambient occlusion;
-# the rest is what allocation brings. These constants were set on the scenes that bench_error.py reports.
+# By how much the variance falls where all points are alike, as for the shipped scenes' ambient
+# occlusion; allocation brings the rest. All were set on the scenes that bench_error.py reports.
 DENSITY_GAIN = 1.6
 # Errors of Sobol points fall as samples to this power, so samples as variance to its inverse.
 VARIANCE_EXPONENT = 1.5

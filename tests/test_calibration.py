@@ -3,8 +3,8 @@
 Plain Monte Carlo of direct light is left out: Sobol points leave errors at the edges of shadows only,
 which a few samples of a point do not tell from a smooth variation as large. Single pixels may be several
 times off there (standardised errors of 1.3 to 2.6 were seen), and the mean of so small an image rests on
-few of them: over these seeds it was predicted a quarter too low for the Cornell box at 16 samples. Control
-variates without density and allocation are left out too, at 0.8 to 1.2 for direct light.
+few of them: over these seeds it was predicted a quarter too low for the Cornell box at 16 samples.
+Control variates without density and allocation are left out too, at 0.8 to 1.2 for direct light.
 """
 
 from __future__ import annotations
