@@ -167,13 +167,24 @@ class Encoder:
 
 
 class TouchedTable:
-    """The hash grid's touched entries with what training keeps beside their values (adam.cl)."""
+    """The hash grid's touched entries with what training keeps beside their values (adam.cl).
 
-    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray) -> None:
+    Parameters
+    ----------
+    device
+    start : ndarray
+        float32 (entries, features), the whole table's values.
+    touched : ndarray
+        The entries that are kept.
+    moments : int
+        Floats beside the values of each.
+    """
+
+    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray, moments: int) -> None:
         self._start, self._touched = start, touched
         self._features = start.shape[1]
         # A power of two: no entry lies across two cache lines.
-        self.entry_floats = 1 << (self._features + 1).bit_length()
+        self.entry_floats = 1 << (self._features + moments - 1).bit_length()
         self.state = HostArray(device, (len(touched), self.entry_floats), np.float32)
         with self.state.mapped(write=True) as state:
             state[:, : self._features] = start[touched]
