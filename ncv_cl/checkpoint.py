@@ -42,6 +42,8 @@ class Checkpoint:
         Of method "auto".
     alpha : ndarray, optional
         The control variate's coefficients.
+    parts : list of ndarray
+        As `Estimation` keeps them.
     """
 
     identity: dict[str, object]
@@ -52,7 +54,8 @@ class Checkpoint:
     network: Network | None
     density: DensityNetwork | None
     prediction: dict[str, object] | None
-    alpha: np.ndarray | None = None
+    alpha: np.ndarray | None
+    parts: list[np.ndarray]
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
@@ -60,6 +63,7 @@ class Checkpoint:
         arrays: dict[str, np.ndarray] = {}
         for number, (state, samples) in enumerate(self.states):
             arrays |= {f"state{number}": state, f"samples{number}": samples}
+        arrays |= {f"part{number}": part for number, part in enumerate(self.parts)}
         if self.before is not None:
             arrays |= {
                 "before_mean": self.before.mean,
@@ -123,6 +127,7 @@ class Checkpoint:
             DensityNetwork.load(path) if has_network else None,
             about["prediction"],
             arrays.get("alpha"),
+            [arrays[name] for name in ("part0", "part1") if name in arrays],
         )
 
     def check(self, identity: dict[str, object]) -> None:

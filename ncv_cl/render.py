@@ -257,7 +257,7 @@ class _Rendering:
         first = 1 if self.prediction and variate is None else 0
         if resumed is not None:
             first = resumed.passes
-            begun.restore(resumed.states)
+            begun.restore(resumed.states, resumed.parts, first)
         plain, residual = self._finish(begun, variate, first)
         by_count = None if PRESETS[settings.preset].density else float(settings.spp)
         with self.watch("resolve"):
@@ -481,4 +481,5 @@ class _Rendering:
                 variate.learned if variate else None,
                 self.prediction.as_dict() if self.prediction else None,
                 variate.alpha if variate else None,
+                estimation.parts,
             ).save(self.keep.path)
