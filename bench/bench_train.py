@@ -63,7 +63,7 @@ def main() -> None:
 
 
 def large_image(device: Device, scene: str, integrand: str) -> dict:
-    """Two training samples a point on average, as 16 of every eighth: enough for an image of this size."""
+    """Two training samples a point on average, as 16 of every eighth point."""
     case = TrainingCase(device, scene, integrand, LARGE)
     passes = 2
     outcome = case.run(with_passes("default", passes), 16, LARGE_SPP / 16)
@@ -74,7 +74,8 @@ def large_image(device: Device, scene: str, integrand: str) -> dict:
 def report_line(row: dict, size: int) -> None:
     print(
         f"{row['scene']:12} {row['integrand']:7} {row['preset']:8} {size:4}^2 "
-        f"{row['samples']:4} samples x {row['passes']} passes: residual {row['residual']:.4f} after {row['seconds']:.3f} s "
+        f"{row['samples']:4} samples x {row['passes']} passes: "
+        f"residual {row['residual']:.4f} after {row['seconds']:.3f} s "
         f"({row['nanoseconds_a_sample']:.0f} ns a sample)",
         flush=True,
     )
