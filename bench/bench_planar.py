@@ -69,7 +69,7 @@ def run(quick: bool, device: str | int | None = None) -> dict:
         alone, many = Sizes(2048, 1024, 32, 2, 0.6, 1 << 12), Sizes(16, 64, 2, 2, 0.6, 1 << 8)
         budgets, names, families = (4.0,), QUICK_INTEGRANDS, ("disks",)
     else:
-        alone, many = Sizes(4096, 1024, 64, 5, None, 1 << 18), Sizes(64, 64, 4, 3, None, 1 << 10)
+        alone, many = Sizes(4096, 1024, 64, 3, None, 1 << 16), Sizes(64, 64, 4, 3, None, 1 << 10)
         budgets, names, families = (1.0, 8.0), tuple(INTEGRANDS), tuple(FAMILIES)
     problems = [(INTEGRANDS[name].family(), alone) for name in names]
     problems += [(FAMILIES[name](256 if quick else 1024), many) for name in families]

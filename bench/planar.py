@@ -179,8 +179,8 @@ def _band_breaks(start: float, slope: float, half_width: float) -> Callable[[flo
 
 GENZ = (
     "Genz, Testing multidimensional integration routines, in Tools, Methods and Languages for "
-    "Scientific and Engineering Computation, 1984; Kaarnioja, Explicit solutions of Genz test integrals, "
-    "2024, doi 10.1016/j.aml.2024.109444"
+    "Scientific and Engineering Computation, 1984; Kaarnioja, Explicit solutions of Genz test "
+    "integrals, 2024, doi 10.1016/j.aml.2024.109444"
 )
 INTEGRANDS = {
     one.name: one

@@ -14,8 +14,8 @@ from scipy import stats
 
 # Chance that a sound method fails its validation.
 FALSE_ALARM = 1e-6
-# Fewer samples than these are no estimate.
-FEWEST_SAMPLES = 4
+# Fewer samples than these are no estimate, fewer errors no mean square.
+FEWEST_SAMPLES, FEWEST_ERRORS = 4, 8
 # Midpoints an axis for the integral of g, and the difference allowed in units of f's root mean square.
 QUADRATURE_CELLS = 512
 QUADRATURE_TOLERANCE = 2e-3
@@ -183,16 +183,16 @@ def equal_time(
     plain_ns = by_key["Monte Carlo", "independent"]["ns_a_sample"]
     variance = float(family.spread().mean())
     floor = (1e-7 * float(np.abs(family.integrals).mean())) ** 2
+    sized = {method: SizedErrors(estimator, family, sizes) for method, estimator in fitted.items()}
     found = []
     for budget in budgets:
-        for method, estimator in fitted.items():
+        for method, errors in sized.items():
             fit_seconds = by_key[method.name, method.samplers[0]]["training_seconds"]
             if fit_seconds > budget / 2:
                 training = Samples.draw(family.function, family.features, sizes.training, seed=0)
                 begun = time.perf_counter()
-                estimator = method.fit(training, 0, budget / 2)
+                errors = SizedErrors(method.fit(training, 0, budget / 2), family, sizes)
                 fit_seconds = time.perf_counter() - begun
-            errors = SizedErrors(estimator, family, sizes)
             for sampler, cost in itertools.product(method.samplers, costs):
                 row = by_key[method.name, sampler]
                 drawn = row["training_samples"] * (plain_ns + cost)
@@ -232,7 +232,8 @@ class SizedErrors:
         if sampler != "independent":
             size = 1 << (min(count, sizes.largest).bit_length() - 1)
         if (size, sampler) not in self._measured:
-            repeats = min(max(2, sizes.repeats * sizes.samples // size), sizes.repeats)
+            fewest = max(1, FEWEST_ERRORS // self._family.points)
+            repeats = min(max(fewest, sizes.repeats * sizes.samples // size), sizes.repeats)
             errors, _ = timed_estimate(self._estimator, self._family, size, repeats, 2000, sampler)
             self._measured[size, sampler] = float(np.mean(errors**2))
         return self._measured[size, sampler] * size / count
