@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import platform
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 
@@ -52,7 +53,8 @@ def run(quick: bool, device: str | int | None = None) -> dict:
     Returns
     -------
     dict
-        "device", "machine", "packages"; "missing" (methods left out, and why); "validation",
+        "device", "machine", "packages"; "sizes", as `planar_measure.Sizes`, of integrands alone and in
+        families; "missing" (methods left out, and why); "validation",
         "equal_samples" and "equal_time", lists of rows; "losses", one line for each integrand on which
         another method beats ours.
     """
@@ -78,6 +80,7 @@ def run(quick: bool, device: str | int | None = None) -> dict:
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         "packages": {name: _version(name) for name in PACKAGES},
         "quick": quick,
+        "sizes": {"alone": asdict(alone), "family": asdict(many)},
         "missing": missing,
         "validation": [],
         "equal_samples": [],

@@ -33,10 +33,8 @@ from ncv_cl.variate import integrals_of
 from .interface import Estimator, FamilyFunction, Method, Samples
 
 # One integral alone: its training samples are laid out over so many columns, to fill a step's tile, and
-# used so often.
+# used so often. A family takes the preset's network and schedule.
 COLUMNS, PASSES = 16, 128
-# A family of some hundred integrals is few points for the preset's four passes.
-FAMILY_PASSES = 16
 ALONE_HIDDEN = (32, 32)
 CUBE = GridCube((0.0, 0.0, 0.0), 1.0)
 
@@ -55,15 +53,13 @@ def shading_points(device: Device, features: np.ndarray) -> ShadingPoints:
 class OursEstimator(Estimator):
     """A trained network, its integrals, and what predicts its residual."""
 
-    def __init__(
-        self, device: Device, training: Samples, seed: int, passes: int | None, with_density: bool
-    ) -> None:
+    def __init__(self, device: Device, training: Samples, seed: int, with_density: bool) -> None:
         self._device, self._features = device, training.features
         alone = training.features.shape[1] == 0
         preset = PRESETS["default"]
         columns = COLUMNS if alone else training.points
         hidden = ALONE_HIDDEN if alone else preset.hidden
-        schedule = replace(preset.settings, passes=passes or (PASSES if alone else FAMILY_PASSES))
+        schedule = replace(preset.settings, passes=PASSES) if alone else preset.settings
         samples = training.samples * training.points // columns
         shape = columns, samples
         u, v, values = (
@@ -133,12 +129,12 @@ class Ours(Method):
 
     source = "Meister and Harada 2025; ncv_cl"
 
-    def __init__(self, device: Device, density: bool, passes: int | None = None) -> None:
+    def __init__(self, device: Device, density: bool) -> None:
         self.name = "ours, density" if density else "ours, f - g"
-        self._device, self._with_density, self._passes = device, density, passes
+        self._device, self._with_density = device, density
 
     def fit(self, training: Samples, seed: int, seconds: float | None = None) -> OursEstimator:
-        return OursEstimator(self._device, training, seed, self._passes, self._with_density)
+        return OursEstimator(self._device, training, seed, self._with_density)
 
 
 class PublicEstimator(Estimator):
