@@ -21,7 +21,8 @@ WAVE = (6.0, 4.0)
 # The ridge and the line run along u = start + slope v, inside the square for all v.
 RIDGE_START, RIDGE_SLOPE, RIDGE_HALF_WIDTH = 0.75, -0.5, 0.2
 LINE_START, LINE_SLOPE, LINE_HALF_WIDTH = 0.2, 0.55, 0.01
-CHECKER_CELLS = 4
+# Odd: no grid of a power of two fits it.
+CHECKER_CELLS = 5
 # Weight, mean (u, v) and standard deviation (u, v).
 MIXTURE = (
     (0.5, 0.30, 0.35, 0.08, 0.12),
@@ -127,7 +128,7 @@ def ridge(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def checker(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Cells of zeros and ones, half of each."""
+    """Cells of zeros and ones, zeros in the corners."""
     return (np.floor(CHECKER_CELLS * u) + np.floor(CHECKER_CELLS * v)) % 2
 
 
@@ -196,7 +197,7 @@ INTEGRANDS = {
         Planar(
             "checker",
             checker,
-            0.5,
+            CHECKER_CELLS**2 // 2 / CHECKER_CELLS**2,
             lambda v: [k / CHECKER_CELLS for k in range(1, CHECKER_CELLS)],
         ),
         Planar(

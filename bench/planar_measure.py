@@ -99,7 +99,7 @@ def timed_estimate(
     """Errors (repeats, points), and seconds without training."""
     begun = time.perf_counter()
     estimates = estimator.estimate(family.function, samples, repeats, seed, sampler)
-    seconds = time.perf_counter() - begun - estimator.training_seconds
+    seconds = time.perf_counter() - begun - sum(estimator.trainings)
     return estimates - family.integrals, seconds
 
 
@@ -124,7 +124,7 @@ def equal_samples(
                     estimator, family, sizes.samples, sizes.repeats, 1000 + fit, sampler
                 )
                 record = records.setdefault((method, sampler), Record())
-                record.fit_seconds.append(fit_seconds + estimator.training_seconds)
+                record.fit_seconds.append(fit_seconds + [0.0, *estimator.trainings][-1])
                 record.nanoseconds.append(seconds / (errors.size * sizes.samples) * 1e9)
                 record.mean_square.append(float(np.mean(errors**2)))
                 record.errors.append(errors)

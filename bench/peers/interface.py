@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +62,11 @@ class Estimator(abc.ABC):
 
     Attributes
     ----------
-    training_seconds : float
-        What the last call of `estimate` has spent on training, where a method trains only then.
+    trainings : list of float
+        Seconds of each training in the last call of `estimate`, where a method trains only then.
     """
 
-    training_seconds = 0.0
+    trainings: Sequence[float] = ()
 
     @abc.abstractmethod
     def estimate(

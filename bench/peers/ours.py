@@ -138,7 +138,7 @@ class Ours(Method):
 
 
 class PublicEstimator(Estimator):
-    """Calls `ncv_cl.estimate`, which trains anew each time.
+    """Calls `ncv_cl.estimate`, which trains anew each time; its density's training counts as estimation.
 
     One integral alone is asked for as so many equal ones as there are repeats, and shares the training
     samples among them: they have one network, and it learns from many columns at a time.
@@ -153,7 +153,7 @@ class PublicEstimator(Estimator):
         training = self._training
         count, alone = training.points, training.features.shape[1] == 0
         copies = repeats if alone else 1
-        results, self.training_seconds = [], 0.0
+        results, self.trainings = [], []
         for number in range(repeats // copies):
             found = ncv.estimate(
                 lambda u, v, index: function(u, v, index % count),
@@ -166,7 +166,7 @@ class PublicEstimator(Estimator):
                 device=self._device,
             )
             results.append(found.mean.reshape(copies, count))
-            self.training_seconds = found.stats["seconds"]["train"]
+            self.trainings.append(found.stats["seconds"]["train"])
         return np.concatenate(results)
 
 

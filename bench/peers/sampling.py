@@ -11,6 +11,8 @@ SAMPLERS = ("independent", "stratified", "sobol")
 # Samples drawn at a time.
 BLOCK = 1 << 18
 SOBOL_BITS = 30
+# Rows that have so many Sobol points together share the scrambling matrices, which take time to make.
+SAMPLES_A_SCRAMBLE = 1 << 14
 # The largest float32 below 1.
 BELOW_ONE = np.float32(1 - 2**-24)
 
@@ -30,8 +32,8 @@ def blocks(
     Notes
     -----
     Stratified: one point in each cell of the most nearly square grid of `samples` cells. Sobol: scipy's
-    scrambled sequence; rows of one block share the matrix scramble and differ by a random digital shift,
-    under which errors are uncorrelated, each row being unbiased given the matrices.
+    scrambled sequence; some rows share its matrices and differ by a random digital shift, under which
+    errors are uncorrelated, each row being unbiased given the matrices.
     """
     draw = {"independent": _independent, "stratified": _stratified, "sobol": _sobol}[sampler]
     step = max(1, BLOCK // samples)
@@ -71,10 +73,14 @@ def _stratified(
 def _sobol(
     rows: int, samples: int, generator: np.random.Generator
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    engine = qmc.Sobol(2, scramble=True, bits=SOBOL_BITS, rng=generator)
+    group = max(1, SAMPLES_A_SCRAMBLE // samples)
+    engines = [
+        qmc.Sobol(2, scramble=True, bits=SOBOL_BITS, rng=generator) for _ in range(0, rows, group)
+    ]
     shift = generator.integers(0, 1 << SOBOL_BITS, (2, rows, 1), np.int64)
     for part in _parts(samples):
         # Powers of two at a time, as the sequence wants them, but for a last part.
-        points = (engine.random(len(part)) * 2.0**SOBOL_BITS).astype(np.int64)
-        shifted = points.T[:, None, :] ^ shift
+        points = np.stack([engine.random(len(part)).T for engine in engines], axis=1)
+        whole = (points * 2.0**SOBOL_BITS).astype(np.int64)
+        shifted = whole[:, np.arange(rows) // group] ^ shift
         yield tuple((shifted + 0.5) * 2.0**-SOBOL_BITS)
