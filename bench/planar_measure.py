@@ -184,6 +184,10 @@ def equal_time(
     variance = float(family.spread().mean())
     floor = (1e-7 * float(np.abs(family.integrals).mean())) ** 2
     sized = {method: SizedErrors(estimator, family, sizes) for method, estimator in fitted.items()}
+    for method, errors in sized.items():
+        # Over all fits, which is better known than of the last one alone.
+        row = by_key[method.name, "independent"]
+        errors.measured[sizes.samples, "independent"] = row["mean_square_error"]
     found = []
     for budget in budgets:
         for method, errors in sized.items():
@@ -219,11 +223,11 @@ def equal_time(
 
 
 class SizedErrors:
-    """Mean square errors of one estimator by the number of samples, measured when first asked for."""
+    """Mean square errors of one estimator by (samples, sampler), measured when first asked for."""
 
     def __init__(self, estimator: Estimator, family: Family, sizes: Sizes) -> None:
         self._estimator, self._family, self._sizes = estimator, family, sizes
-        self._measured: dict[tuple[int, str], float] = {}
+        self.measured: dict[tuple[int, str], float] = {}
 
     def at(self, count: int, sampler: str) -> float:
         """At `count` samples, from the nearest size that is measured."""
@@ -231,9 +235,9 @@ class SizedErrors:
         size = sizes.samples
         if sampler != "independent":
             size = 1 << (min(count, sizes.largest).bit_length() - 1)
-        if (size, sampler) not in self._measured:
+        if (size, sampler) not in self.measured:
             fewest = max(1, FEWEST_ERRORS // self._family.points)
             repeats = min(max(fewest, sizes.repeats * sizes.samples // size), sizes.repeats)
             errors, _ = timed_estimate(self._estimator, self._family, size, repeats, 2000, sampler)
-            self._measured[size, sampler] = float(np.mean(errors**2))
-        return self._measured[size, sampler] * size / count
+            self.measured[size, sampler] = float(np.mean(errors**2))
+        return self.measured[size, sampler] * size / count
