@@ -15,7 +15,7 @@ from .encode import GridCube
 from .estimate import Estimate, Estimator
 from .network import FoldedNetwork, Network
 from .points import ShadingPoints
-from .presets import PRESETS
+from .presets import PRESETS, Preset
 from .sampler import Stream
 from .samples import Batches
 from .settings import RenderSettings, Stopwatch
@@ -28,6 +28,9 @@ TRAINING_PASS = 16
 # at 64 samples a point, Cornell box and occluders).
 AUTO_TRAINING_SAMPLES = 1 << 19
 AUTO_PASSES = 2
+# Few points make few steps of a pass; samples are used more often then, up to so often.
+FEWEST_STEPS = 512
+MOST_PASSES = 128
 # Training samples held at a time.
 TRAINING_SAMPLES_HELD = 1 << 23
 
@@ -89,13 +92,22 @@ def learn(
             preset.settings,
             rate=rate,
             final_rate=min(rate, preset.settings.final_rate),
-            passes=min(passes, preset.settings.passes),
+            passes=_enough_passes(preset, min(passes, preset.settings.passes), len(chosen), samples),
         )
         learned = _fit(device, source, settings, start, schedule, chosen, samples, factors, watch, stop)
         if learned.network is not None:
             return learned
     warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=5)
     return learned
+
+
+def _enough_passes(preset: Preset, passes: int, points: int, samples: int) -> int:
+    """`passes`, or more where these would be few steps; the slides' own schedule is kept."""
+    if not preset.subset:
+        return passes
+    schedule = preset.settings
+    steps = max(1, round(points / schedule.batch)) * max(1, samples // schedule.samples_a_step)
+    return max(passes, min(MOST_PASSES, -(-FEWEST_STEPS // steps)))
 
 
 def _fit(
