@@ -45,8 +45,9 @@ CASES = (
     ("occluders", "ao"),
     ("cornell_box", "gi"),
     ("occluders", "gi"),
+    ("knot", "gi"),
 )
-# Bounces of global illumination, in Mitsuba's count: 2 is direct light.
+# Most edges of a path from the camera to a light; both renderers count so, and 2 is direct light.
 GI_DEPTH = 6
 DIRECT = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 SKY = {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1, "hide_emitters": True}
@@ -140,8 +141,10 @@ def agreement(
         theirs = MitsubaScene(mitsuba, scene, white_under_sky=integrand == "ao")
     except NotImplementedError as error:
         return _skip(row, str(error))
-    size = size or ((32, 32) if quick or not theirs.llvm else (96, 96))
-    batches, spp = batches or (6 if quick else 16), spp or (32 if quick or not theirs.llvm else 128)
+    small, nested = quick or not theirs.llvm, integrand == "gi"
+    size = size or ((32, 32) if small else (64, 64) if nested else (96, 96))
+    spp = spp or (32 if small or nested else 128)
+    batches = batches or (6 if quick else 16)
     method = {"direct": DIRECT, "ao": SKY, "gi": PATH}[integrand]
     other = np.stack([theirs.radiance(method, size, supersample, spp, seed) for seed in range(batches)])
     ours = np.stack([_our_image(scene, own, size, supersample, spp, s, device) for s in range(batches)])

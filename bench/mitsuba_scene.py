@@ -88,7 +88,7 @@ class MitsubaScene:
     Raises
     ------
     NotImplementedError
-        For glossy materials in a ``scalar`` variant.
+        For glossy materials in a ``scalar`` variant, and for materials that emit.
     """
 
     def __init__(self, mitsuba: ModuleType, scene: Scene, white_under_sky: bool = False) -> None:
@@ -136,6 +136,8 @@ class MitsubaScene:
     def _bsdf(self, material: Material) -> dict[str, object]:
         if self.white_under_sky:
             return _lambert(np.ones(3))
+        if np.any(getattr(material, "emission", 0.0)):
+            raise NotImplementedError("Mitsuba's meshes emit from one side, ours from both")
         if not np.any(material.reflectance):
             return _lambert(material.albedo)
         if not self.llvm:
