@@ -148,7 +148,10 @@ class Estimator:
 
     def result(self, quantity: int = 0) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1)."""
-        state = self._state.read().astype(np.float64)
-        state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)[quantity]
-        variance = state[:, 2] / np.maximum(self.samples - 1, 1)
-        return Estimate(state[:, 0] + state[:, 1], variance, self.samples.copy())
+        rows = self.channels * STATE_FLOATS
+        with self._state.mapped() as view:
+            state = view[quantity * rows : (quantity + 1) * rows]
+            state = state.reshape(self.channels, STATE_FLOATS, -1)
+            mean = state[:, 0].astype(np.float64) + state[:, 1]
+            variance = state[:, 2] / np.maximum(self.samples - 1, 1)
+        return Estimate(mean, variance, self.samples.copy())

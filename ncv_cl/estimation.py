@@ -77,31 +77,41 @@ class Estimation:
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g."""
-        first = [self._first.result(quantity) for quantity in range(self._first.quantities)]
+        return [self._result(quantity) for quantity in range(self._first.quantities)]
+
+    def _result(self, quantity: int) -> Estimate:
+        first = self._first.result(quantity)
         if not self._points.active:
             return first
         # The prior is for what the image is made of, which comes last.
-        prior = self._prior(first[-1])
+        last = self._first.quantities - 1
+        prior = self._prior(first if quantity == last else self._first.result(last))
         if self._second is None:
-            return [
-                replace(one, calibrated=steadied(one, prior) / np.maximum(one.samples, 1))
-                for one in first
-            ]
+            return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
+        second = self._second.result(quantity)
         # The last one may be all there is.
         parts = self.parts[:-1] if _is_power_of_two(self._done) else self.parts
-        found = []
-        for quantity, one in enumerate(first):
-            second = self._second.result(quantity)
-            if not parts:
-                expected, repeated = (
-                    steadied(each, prior) / np.maximum(each.samples, 1) for each in (one, second)
-                )
-                repeated = repeated[:, self.twice]
-            else:
-                expected = halves(one.mean, parts[-1][quantity], *self._grid)
-                repeated = expected[:, self.twice]
-            found.append(calibrate(one, second, self.twice, expected, repeated))
-        return found
+        if parts:
+            expected = halves(first.mean, parts[-1][quantity], *self._grid)
+            repeated = expected[:, self.twice]
+        else:
+            expected, repeated = (
+                steadied(each, prior) / np.maximum(each.samples, 1) for each in (first, second)
+            )
+            repeated = repeated[:, self.twice]
+        return calibrate(first, second, self.twice, expected, repeated)
+
+    def end(self) -> tuple[Estimate, Estimate | None]:
+        """The final estimates of f and of f - g, if there is a control variate.
+
+        What only drawing samples needs is let go of before.
+        """
+        del self.passes
+        for estimator in (self._first, self._second):
+            if estimator is not None:
+                estimator.network = None
+        results = self.results()
+        return results[0], results[1] if len(results) > 1 else None
 
     def _keep_parts(self, done: int) -> None:
         """Keep the means after the last two powers of two of passes."""
@@ -136,7 +146,7 @@ class Estimation:
 
     def image_error(self) -> float:
         """The mean square error of the image's pixels so far, as its variances say."""
-        variance = self.results()[-1].variance_of_mean
+        variance = self._result(self._first.quantities - 1).variance_of_mean
         settings = self._settings
         # Errors of a pixel's points are independent; one channel stands for all three.
         pixels = settings.size[0] * settings.size[1]

@@ -258,14 +258,20 @@ class _Rendering:
         if resumed is not None:
             first = resumed.passes
             begun.restore(resumed.states, resumed.parts, first)
-        plain, residual = self._finish(begun, variate, first)
+        self._draw(begun, variate, first)
+        integral, used = (variate.integral, variate.folded.network) if variate else (None, None)
+        skipped = self._skipped(variate)
+        # Of many points, folded weights and densities are most of the memory, and no longer needed.
+        del variate
+        plain, residual = begun.end()
         by_count = None if PRESETS[settings.preset].density else float(settings.spp)
         with self.watch("resolve"):
             image = resolve_image(
                 self.scene, settings.integrand, points, settings.size, settings.supersample,
-                plain, self.before, residual, variate.integral if variate else None, by_count,
+                plain, self.before, residual, integral, by_count,
             )  # fmt: skip
-        self._describe(image, plain, residual, variate)
+        self._describe(image, plain, residual, used)
+        image.stats["skipped"] = skipped
         if reference is not None:
             image.stats |= error_metrics(image.pixels, reference)
         return image
@@ -282,7 +288,7 @@ class _Rendering:
         image: Image,
         plain: Estimate,
         residual: Estimate | None,
-        variate: ControlVariate | None,
+        network: Network | None,
     ) -> None:
         """Statistics and metadata."""
         rays, active = self.source.rays, self.points.active
@@ -290,10 +296,9 @@ class _Rendering:
         image.stats = {"seconds": {**seconds, "total": time.perf_counter() - self.started}}
         image.stats |= statistics(
             self.points, rays, self.device, plain, self.before, residual,
-            variate.folded.network if variate else None, self.points_done_twice,
+            network, self.points_done_twice,
         )  # fmt: skip
-        image.stats["skipped"] = self._skipped(variate)
-        image.stats["method"] = "ncv" if variate is not None else "mc"
+        image.stats["method"] = "ncv" if network is not None else "mc"
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
         drawn, before = (
@@ -440,10 +445,8 @@ class _Rendering:
             self.before = estimation.results()[0]
         return estimation
 
-    def _finish(
-        self, estimation: Estimation, variate: ControlVariate | None, first: int
-    ) -> tuple[Estimate, Estimate | None]:
-        """Draw the passes from `first` on, until a target is met; estimates of f and of f − g."""
+    def _draw(self, estimation: Estimation, variate: ControlVariate | None, first: int) -> None:
+        """Draw the passes from `first` on, until a target is met."""
         settings = self.settings
         began, done = time.perf_counter(), first
         self._write_checkpoint(estimation, variate, done)
@@ -462,8 +465,6 @@ class _Rendering:
         if self.points.active:
             estimation.passes.run("render", self.progress, enough, first)
         self.points_done_twice = len(estimation.twice)
-        results = estimation.results()
-        return results[0], results[1] if len(results) > 1 else None
 
     def _write_checkpoint(
         self, estimation: Estimation, variate: ControlVariate | None, passes: int

@@ -51,11 +51,7 @@ def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
         so at every point looked at.
     """
     chosen = np.linspace(0, points, min(points, POINTS_LOOKED_AT), endpoint=False).astype(int)
-    weights, biases = (
-        folded.groups[name].read()[chosen] if name in folded.network.description.modulated
-        else np.broadcast_to(folded.groups[name].read(), (len(chosen), *folded.groups[name].shape))
-        for name in ("W1", "B1")
-    )  # fmt: skip
+    weights, biases = (_chosen_weights(folded, name, chosen) for name in ("W1", "B1"))
     corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
     values = np.einsum("pji,ki->pjk", weights, corners) + biases[..., None]
     dead = np.all(values <= 0, axis=2)
@@ -64,6 +60,15 @@ def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
         "dead_neurons": float(np.mean(dead)),
         "dead_in_image": int(np.count_nonzero(dead.all(axis=0))),
     }
+
+
+def _chosen_weights(folded: FoldedNetwork, name: str, chosen: np.ndarray) -> np.ndarray:
+    """One group's weights at some points, (points, ...)."""
+    group = folded.groups[name]
+    with group.mapped() as view:
+        if name in folded.network.description.modulated:
+            return view[chosen]
+        return np.broadcast_to(view, (len(chosen), *view.shape)).copy()
 
 
 def integrals_of(device: Device, folded: FoldedNetwork, points: int) -> np.ndarray:

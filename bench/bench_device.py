@@ -1,0 +1,216 @@
+"""One device: every kernel against its reference, then what each stage costs, in which shape.
+
+Runs unattended and without network, from a checkout: `tests/` holds the references. Besides what the
+package requires it needs pytest, scipy, hypothesis and gmpy2; a check whose needs are missing fails by
+name, and the rest goes on. For a machine without network fetch the wheels of all of them elsewhere, by
+``pip download -d wheels '.[test]'``, and there ``pip install --no-index --find-links wheels '.[test]'``.
+
+Stages are timed on the scenes, in medians of a few renders after one that compiles. The sweep takes VEC
+and LANES that suit the kind of device through all stages of a control variate, and inference through
+sizes of the work-group. Seconds are those of whole stages, so on a GPU they include what copying and
+waiting for the host cost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from device_checks import SCENES, validate
+
+import ncv_cl as ncv
+from ncv_cl.choose import choose_device
+from ncv_cl.device import GPU_LANES, Device, HostArray, open_device
+from ncv_cl.encode import Encoding
+from ncv_cl.network import GROUPS, NetworkDescription
+from ncv_cl.program import build
+from ncv_cl.report import package_version
+
+CASES = (("cornell_box", "direct", "mc"), ("cornell_box", "direct", "ncv"), ("occluders", "ao", "ncv"))
+# (VEC, LANES) to try; LANES work-items of a GPU share a point, a CPU's vectors do.
+CPU_SHAPES = ((16, 1), (8, 1), (4, 1), (1, 1), (1, GPU_LANES))
+GPU_SHAPES = ((1, 32), (1, 16), (1, 64), (1, 128), (4, 32))
+WORK_GROUPS = (16, 32, 64, 128, 256)
+# Inference: points and samples of each, of the default network.
+POINTS, SAMPLES = 1024, 256
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer checks, small images, one repeat")
+    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args(argv)
+    report = run(options.quick, options.device)
+    if options.json:
+        Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    return 0 if report["valid"] else 1
+
+
+def run(quick: bool, device: Device | int | str | None = None) -> dict:
+    """Validate, then time; `valid` says whether every kernel was launched and met its reference."""
+    device = choose_device(device)
+    begun = time.perf_counter()
+    report = describe(device)
+    print(device.describe(), flush=True)
+    outcomes, unreached = validate(device, quick)
+    report["checks"] = [asdict(outcome) for outcome in outcomes]
+    report["unreached_kernels"] = unreached
+    report["valid"] = not unreached and not any(outcome.error for outcome in outcomes)
+    report["stages"] = [stages(device, *case, quick) for case in CASES]
+    report["shapes"] = [
+        shape_row(device, *shape, quick) for shape in shapes(device)[: 2 if quick else None]
+    ]
+    report["work_groups"] = work_groups(device, quick)
+    report["seconds"] = time.perf_counter() - begun
+    show(report)
+    return report
+
+
+def describe(device: Device) -> dict:
+    """What tells this device, driver and version from others."""
+    own = device.cl_device
+    return {
+        "device": device.name,
+        "platform": device.platform_version,
+        "driver": own.driver_version.strip(),
+        "opencl_c": own.opencl_c_version.strip(),
+        "compute_units": own.max_compute_units,
+        "local_memory": own.local_mem_size,
+        "global_memory": own.global_mem_size,
+        "vec": device.vector_width,
+        "lanes": device.lanes,
+        "use_fma": device.use_fma,
+        "version": package_version(),
+    }
+
+
+# ---- stages ----------------------------------------------------------------------------------------
+
+
+def stages(device: Device, scene: str, integrand: str, method: str, quick: bool) -> dict:
+    """Median seconds of a render's stages."""
+    size, spp, repeats = (64, 16, 1) if quick else (256, 64, 3)
+    loaded = ncv.load_scene(SCENES / f"{scene}.toml")
+
+    def render(seed: int) -> ncv.Image:
+        return ncv.render(
+            loaded, integrand, method, spp=spp, size=(size, size), seed=seed, device=device
+        )
+
+    render(0)
+    images = [render(seed) for seed in range(1, repeats + 1)]
+    rows = [image.stats["seconds"] for image in images]
+    return {
+        "scene": scene,
+        "integrand": integrand,
+        "method": method,
+        "points": images[0].stats["points"],
+        "samples": spp,
+        "rays": images[0].stats["rays_traced"],
+        "seconds": {stage: float(np.median([row[stage] for row in rows])) for stage in rows[0]},
+    }
+
+
+# ---- shapes ----------------------------------------------------------------------------------------
+
+
+def shapes(device: Device) -> list[tuple[int, int]]:
+    """The device's own (VEC, LANES) first, then what else is worth a try."""
+    own = device.vector_width, device.lanes
+    others = GPU_SHAPES if device.is_gpu else CPU_SHAPES
+    largest = device.cl_device.max_work_group_size
+    return [own, *(shape for shape in others if shape != own and shape[1] <= largest)]
+
+
+def shape_row(device: Device, vector_width: int, lanes: int, quick: bool) -> dict:
+    """Stages' seconds and inference's nanoseconds in one shape; an `error` where it does not run."""
+    row: dict = {"vec": vector_width, "lanes": lanes}
+    shaped = open_device(device.cl_device, device.index, vector_width, lanes, device.use_fma)
+    try:
+        row["inference_ns"] = inference_ns(shaped, quick)
+        row["seconds"] = stages(shaped, "cornell_box", "direct", "ncv", quick)["seconds"]
+    # A shape that a driver cannot build is a finding, not the end.
+    except Exception as problem:
+        row["error"] = f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}"
+    return row
+
+
+def work_groups(device: Device, quick: bool) -> list[dict]:
+    """Inference in work-groups of several sizes."""
+    largest = device.cl_device.max_work_group_size
+    return [
+        {"group": group, "inference_ns": inference_ns(device, quick, group)}
+        for group in WORK_GROUPS
+        if group <= largest
+    ]
+
+
+def inference_ns(device: Device, quick: bool, group: int = 64) -> float:
+    """Nanoseconds a sample of the default network, all its weights per point."""
+    description = NetworkDescription(Encoding(("position",)), 3, (16, 16), GROUPS)
+    generator = np.random.default_rng(0)
+    found = {
+        name: generator.normal(size=(POINTS, *shape)) for name, shape in description.group_shapes.items()
+    }
+    found["W2"] = generator.normal(size=(16, 16))
+    uv = generator.random((2, POINTS, SAMPLES))
+    order = ("W1", "B1", "W2", "B2", "W3", "B3")
+    arrays = (*uv, *(found[name] for name in order))
+    buffers = [HostArray.of(device, array.astype(np.float32)) for array in arrays]
+    value = HostArray(device, (3, POINTS, SAMPLES), np.float32)
+    evaluate = build(device, ("common", "mlp"), description.defines()).kernel("evaluate")
+    items = POINTS * SAMPLES // device.vector_width
+    times = []
+    for _ in range(5 if quick else 20):
+        begun = time.perf_counter()
+        evaluate(items, 0, POINTS, SAMPLES, *buffers, value, group=group)
+        device.queue.finish()
+        times.append(time.perf_counter() - begun)
+    return float(np.median(times[1:])) / (POINTS * SAMPLES) * 1e9
+
+
+# ---- the table -------------------------------------------------------------------------------------
+
+
+def show(report: dict) -> None:
+    """One table of it all."""
+    print(
+        f"\n{report['device']} | {report['platform']} | {report['driver']} | ncv_cl {report['version']}"
+    )
+    print("checks")
+    for check in report["checks"]:
+        verdict = "ok" if not check["error"] else f"FAILED {check['error']}"
+        name = check["test"].partition(".")[2].removeprefix("test_").replace("_", " ")
+        print(f"  {check['subject']:18} {name:60} {check['seconds']:6.2f} s  {verdict}")
+    if report["unreached_kernels"]:
+        print(f"  kernels that no check launched: {', '.join(report['unreached_kernels'])}")
+    print("stages")
+    for row in report["stages"]:
+        print(
+            f"  {row['scene']} {row['integrand']} {row['method']}, {row['points']} points: " + _line(row)
+        )
+    print("shapes (VEC samples a work-item, LANES work-items a point; cornell_box direct ncv)")
+    for row in report["shapes"]:
+        name = f"VEC {row['vec']:2} LANES {row['lanes']:3}"
+        if "error" in row:
+            print(f"  {name}  {row['error']}")
+        else:
+            print(f"  {name}  inference {row['inference_ns']:.2f} ns a sample; " + _line(row))
+    groups = ", ".join(f"{row['group']}: {row['inference_ns']:.2f}" for row in report["work_groups"])
+    print(f"work-groups, nanoseconds of inference a sample: {groups}")
+    verdict = "every kernel meets its reference" if report["valid"] else "NOT VALID"
+    print(f"{verdict}; {report['seconds']:.0f} s in all")
+
+
+def _line(row: dict) -> str:
+    return ", ".join(f"{name} {s:.3f}" for name, s in row["seconds"].items() if s >= 5e-4) + " s"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
