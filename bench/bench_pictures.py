@@ -41,7 +41,7 @@ class Plan:
 
 
 # The full run shares the references of the curves.
-PLANS = {False: Plan(FULL.size, 64, FULL.reference_spp), True: Plan(96, 16, 2048)}
+PLANS = {False: Plan(FULL.size, 1024, FULL.reference_spp), True: Plan(96, 16, 2048)}
 
 
 def run(quick: bool, folder: Path, device: Device | None = None) -> dict:
@@ -135,7 +135,7 @@ def draw(file: Path, truth: np.ndarray, images: dict[str, np.ndarray], rows: dic
         axis.set_title(title, fontsize=6)
         axis.axis("off")
     figure.tight_layout(pad=0.3)
-    figure.savefig(file, dpi=120)
+    figure.savefig(file, dpi=120, bbox_inches="tight", pad_inches=0.05)
     pyplot.close(figure)
 
 

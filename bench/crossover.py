@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+# Stages whose seconds do not grow with the samples, but with training, whose size depends on both.
+SETUP_STAGES = ("train", "integration")
 # Errors at which two curves are compared, evenly in the logarithm, from the largest to the smallest
 # that both reach.
 GRID = 2001
@@ -18,23 +20,41 @@ GRID = 2001
 
 @dataclass(frozen=True)
 class Curve:
-    """One method: samples a point, total seconds and mean square error, each (points,) float64."""
+    """One method's points, fewest samples first; all arrays are (points,) float64.
+
+    Attributes
+    ----------
+    samples, seconds, errors
+        Samples a shading point, total seconds, mean square error.
+    setup
+        Seconds of training and integration, in `seconds` as well.
+    """
 
     samples: np.ndarray
     seconds: np.ndarray
     errors: np.ndarray
+    setup: np.ndarray
 
     @classmethod
     def of(cls, points: list[dict]) -> Curve:
-        """From rows with `spp`, `seconds` and `mse`; points that are not better than those before go.
+        """From rows with `spp`, `seconds`, `mse`, `stages`; points no better than one before them go.
 
         Raises
         ------
         ValueError
             If no point has a positive error.
         """
-        rows = sorted((p["spp"], p["seconds"], p["mse"]) for p in points if p["mse"] > 0)
-        kept: list[tuple[float, float, float]] = []
+        rows = sorted(
+            (
+                p["spp"],
+                p["seconds"],
+                p["mse"],
+                sum(p["stages"].get(stage, 0.0) for stage in SETUP_STAGES),
+            )
+            for p in points
+            if p["mse"] > 0
+        )
+        kept: list[tuple[float, ...]] = []
         for row in rows:
             if not kept or row[2] < kept[-1][2]:
                 kept.append(row)
@@ -62,11 +82,16 @@ class Curve:
         return found
 
     def cost(self) -> tuple[float, float]:
-        """Fixed seconds and seconds per sample: a fit of least relative deviations squared."""
+        """Fixed seconds and seconds per sample.
+
+        Fixed are the setup of the last point and what a straight line through the rest has at no
+        samples (least squares of relative deviations).
+        """
+        drawing = self.seconds - self.setup
         if len(self.samples) == 1:
-            return 0.0, float(self.seconds[0] / self.samples[0])
-        slope, fixed = np.polyfit(self.samples, self.seconds, 1, w=1 / self.seconds)
-        return float(fixed), float(slope)
+            return float(self.setup[0]), float(drawing[0] / self.samples[0])
+        slope, fixed = np.polyfit(self.samples, drawing, 1, w=1 / drawing)
+        return float(fixed + self.setup[-1]), float(slope)
 
 
 @dataclass(frozen=True)
