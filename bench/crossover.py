@@ -195,7 +195,8 @@ def against_the_better(points: list[dict], others: dict[str, Curve]) -> list[dic
     -------
     list of dict
         `spp`, `better` (the name of the curve that reaches the point's error sooner), `ratio` (its
-        seconds over the point's: 1 and more is as good) and `method`, what was chosen.
+        seconds over the point's: 1 and more is as good), `method`, what was chosen, and `spread`, the
+        longest of the point's runs over the shortest.
     """
     rows = []
     for point in points:
@@ -204,5 +205,7 @@ def against_the_better(points: list[dict], others: dict[str, Curve]) -> list[dic
         needed = {name: float(curve.seconds_to(point["mse"])[0]) for name, curve in others.items()}
         better = min(needed, key=needed.__getitem__)
         ratio = needed[better] / point["seconds"]
-        rows.append({"spp": point["spp"], "method": point["method"], "better": better, "ratio": ratio})
+        shortest, longest = point["seconds_range"]
+        row = {"spp": point["spp"], "method": point["method"], "better": better, "ratio": ratio}
+        rows.append(row | {"spread": longest / shortest})
     return rows

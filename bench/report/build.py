@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -63,8 +64,15 @@ def _sections(folder: Path, runs: dict[str, dict]) -> list[Section]:
             found = [Section(part.title, [Paragraph(text)])]
         found[0].blocks.insert(0, Paragraph(f"Measured by: {command}, into {part.name}.json."))
         if run.get("status", "ok") != "ok":
-            found[0].blocks.insert(1, Paragraph(f"The run did not end well: {_why(run, '')}.", True))
+            text = f"{part.name}: what is shown is incomplete or of an earlier run: {_why(run, '')}."
+            found[0].blocks.insert(1, Paragraph(text, True))
         sections += found
+    # Results of other devices, kept beside those of this one.
+    for file in sorted(folder.glob("device_*.json")):
+        data, _ = _read(file)
+        if data is not None:
+            part = dataclasses.replace(PARTS["device"], title=f"Device: {file.stem}")
+            sections.append(others.section(part, data, folder, command_of("device", False)))
     return sections
 
 
@@ -76,20 +84,26 @@ def _of_part(name: str, data: dict, folder: Path, command: str) -> list[Section]
 
 def _why(run: dict, missing: str) -> str:
     """What became of a part, in a few words."""
+    lines = [line for line in run.get("message", "").splitlines() if line.strip()]
     reasons = {
         "absent": "this checkout has no script for it",
         "timed out": f"ended after {run.get('seconds', 0):.0f} s, which was its limit",
         "no time left": "no time was left for it",
-        "failed": "it failed",
+        "failed": f"it failed: {lines[-1]}" if lines else "it failed",
     }
     return reasons.get(run.get("status", ""), missing or "not run")
 
 
 def _summary(sections: list[Section]) -> Section:
     """Every finding, in the order of the sections."""
-    texts = [text for section in sections for text in section.findings]
-    blocks = [Paragraph(text, True) for text in texts] or [Paragraph("No part has results.")]
-    return Section("What was found", blocks)
+    found = Section("What was found")
+    for section in sections:
+        if section.findings:
+            found.blocks.append(Paragraph(f"{section.title}:"))
+            found.blocks += [Paragraph(text, True) for text in section.findings]
+    if not found.blocks:
+        found.blocks.append(Paragraph("No part has results."))
+    return found
 
 
 def _machine(record: dict) -> Section:

@@ -246,11 +246,11 @@ def _auto(cases: list[dict]) -> Section:
         Paragraph(
             "At each of its points: the seconds that the better of Sobol Monte Carlo and the default "
             "control variate takes to the same error, over those of auto. 1 is as good as knowing "
-            "beforehand; runs of a few hundredths of a second differ by as much among themselves."
+            "beforehand. The last column says how far runs of one and the same render differed."
         )
     )
     rows = [
-        [label(case), one["spp"], one["method"], one["better"], one["ratio"]]
+        [label(case), one["spp"], one["method"], one["better"], one["ratio"], one["spread"]]
         for case in cases
         for one in case["auto"]
     ]
@@ -263,11 +263,14 @@ def _auto(cases: list[dict]) -> Section:
             Paragraph(
                 f"{label(case)}: auto {verdict}: at its worst {shown(worst['ratio'])} of the better "
                 f"method's speed (at {worst['spp']} samples, where it chose {worst['method']} and "
-                f"{worst['better']} was the better).",
+                f"{worst['better']} was the better). Its own runs there differed by "
+                f"{shown(worst['spread'])} times.",
                 True,
             )
         )
-    section.blocks.append(Table(["", "SPP", "auto chose", "better", "ratio"], rows))
+    section.blocks.append(
+        Table(["", "SPP", "auto chose", "better", "ratio", "longest run / shortest"], rows)
+    )
     return section
 
 

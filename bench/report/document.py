@@ -57,7 +57,7 @@ class Section:
 
 
 def shown(value: object) -> str:
-    """A cell as text: numbers with three significant digits, ranges of two joined."""
+    """A cell as text: numbers with three significant digits, two of them as a range."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -71,8 +71,10 @@ def shown(value: object) -> str:
             digits = max(0, 2 - math.floor(math.log10(abs(value))))
             return f"{value:.{digits}f}"
         return f"{value:.2e}"
+    if isinstance(value, int) and abs(value) >= 1e7:
+        return f"{value:.2e}"
     if isinstance(value, (list, tuple)):
-        return " … ".join(shown(one) for one in value)
+        return (" … " if len(value) == 2 else ", ").join(shown(one) for one in value)
     return str(value)
 
 

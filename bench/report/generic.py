@@ -6,6 +6,8 @@ from .document import Table
 
 # A table in the report is to be read; what is longer is cut, and its file named.
 LONGEST = 40
+# More columns than this are split: a table for each nested record, beside what identifies its rows.
+WIDEST = 12
 _SCALARS = (str, int, float, bool, type(None))
 
 
@@ -51,6 +53,16 @@ def _short(value: object) -> bool:
 
 
 def _records(records: list[dict], name: str) -> list[Table]:
+    nested = list(dict.fromkeys(k for row in records for k, one in row.items() if isinstance(one, dict)))
+    if nested and max(len(_flatten(record)) for record in records) > WIDEST:
+        own = [{k: one for k, one in row.items() if not isinstance(one, dict)} for row in records]
+        return [
+            table
+            for key in nested
+            for table in _records(
+                [one | row.get(key, {}) for one, row in zip(own, records, strict=True)], f"{name}: {key}"
+            )
+        ]
     rows = [_flatten(record) for record in records]
     columns = list(dict.fromkeys(key for row in rows for key in row))
     # One cell that all rows share is said once, in the caption.

@@ -19,6 +19,10 @@ RATIOS = {
     "time_to_error_ratio": "time to Mitsuba's error, against its usual way",
     "time_to_error_ratio_best": "time to Mitsuba's error, against the best of its ways",
 }
+# Sweeps of bench_scaling, and what varies in each.
+SWEEPS = {"points": "size", "width": "width", "triangles": "triangles"}
+# "Equal" times that differ by more than this are not called so.
+UNLIKE = 1.3
 
 
 def section(part: Part, data: dict, folder: Path, command: str) -> Section:
@@ -41,7 +45,7 @@ def section(part: Part, data: dict, folder: Path, command: str) -> Section:
             "equal_samples": _by(data, "equal_samples"),
             "equal_time": _by(data, "equal_time"),
         }
-    rest = {key: value for key, value in data.items() if key not in ("findings", "left_out")}
+    rest = {key: value for key, value in data.items() if key not in ("findings", "left_out", "losses")}
     found.blocks += tables(rest, part.name)
     return found
 
@@ -58,10 +62,12 @@ def _pictures(data: dict) -> Iterator[str]:
         plain, ours = case["methods"][SOBOL], case["methods"][DEFAULT]
         gain = plain["mse"] / ours["mse"] if ours["mse"] > 0 else float("nan")
         verdict = f"{shown(gain)} times less" if gain >= 1 else f"{shown(1 / gain)} times more"
+        unlike = max(plain["seconds"], ours["seconds"]) > UNLIKE * min(plain["seconds"], ours["seconds"])
         yield (
-            f"{name}: in about the same time ({shown(ours['seconds'])} s and "
-            f"{shown(plain['seconds'])} s) the control variate with {shown(ours['samples'])} samples "
-            f"has {verdict} mean square error than Sobol Monte Carlo with {shown(plain['samples'])}."
+            f"{name}: in {'times that came out unlike' if unlike else 'about the same time'} "
+            f"({shown(ours['seconds'])} s and {shown(plain['seconds'])} s) the control variate with "
+            f"{shown(ours['samples'])} samples has {verdict} mean square error than Sobol Monte Carlo "
+            f"with {shown(plain['samples'])}."
         )
     if not data.get("flip"):
         yield "FLIP was left out: this OpenImageIO has no ImageBufAlgo.FLIP_diff."
@@ -108,11 +114,24 @@ def _planar(data: dict) -> Iterator[str]:
             f"({ours['method']}, {ours['sampler']}) against {shown(_reduction(other))} of the best "
             f"other ({other['method']}, {other['sampler']})."
         )
+    for name, rows in _by(data, "equal_time").items():
+        wins, settings = _best_of_settings(rows)
+        yield f"{name}, equal time: ours has the least error in {wins} of {settings} settings."
     for method, why in data.get("missing", {}).items():
         yield f"{method} was left out: it {why}."
     for row in data.get("validation", []):
         if not row.get("valid", True):
             yield f"{row['method']} failed its validation on {row['integrand']} and is left out."
+
+
+def _best_of_settings(rows: list[dict]) -> tuple[int, int]:
+    """In how many (seconds, cost of a value) the best method is one of ours, of how many."""
+    settings: dict[tuple, list[dict]] = {}
+    for row in rows:
+        if row["variance_reduction"] is not None:
+            settings.setdefault((row["seconds"], row["ns_a_value"]), []).append(row)
+    best = [max(group, key=_reduction) for group in settings.values()]
+    return sum(_is_ours(row["method"]) for row in best), len(best)
 
 
 def _reduction(row: dict) -> float:
@@ -160,8 +179,54 @@ def _mitsuba(data: dict) -> Iterator[str]:
             yield f"{row['scene']} {row['integrand']} was not compared with Mitsuba: {row['skipped']}."
 
 
+# ---- scaling and devices ---------------------------------------------------------------------------
+
+
+def _scaling(data: dict) -> Iterator[str]:
+    """How total seconds grow from a sweep's first row to its last."""
+    for sweep, key in SWEEPS.items():
+        rows = [row for row in data.get(sweep, []) if "total" in row.get("seconds", {})]
+        if len(rows) < 2:
+            continue
+        first, last = rows[0], rows[-1]
+        grown = last["seconds"]["total"] / first["seconds"]["total"]
+        yield (
+            f"{sweep}: from {key} {first[key]} to {last[key]} a render takes {shown(grown)} times as "
+            f"long ({shown(first['seconds']['total'])} s and {shown(last['seconds']['total'])} s)."
+        )
+    if "largest_bytes" in data:
+        fits = "keeps within" if data.get("largest_fits") else "does not keep within"
+        size = data["points"][-1]["size"]
+        yield (
+            f"Memory: the largest image, {size} × {size}, takes {shown(data['largest_bytes'] / 1e9)} GB "
+            f"and {fits} its limit."
+        )
+
+
+def _device(data: dict) -> Iterator[str]:
+    if "checks" in data:
+        failed = [check["subject"] for check in data["checks"] if check["error"]]
+        passed, every = len(data["checks"]) - len(failed), len(data["checks"])
+        yield (
+            f"{data['device']}: {passed} of {every} checks of kernels against their references pass"
+            + (f"; {', '.join(failed)} fail." if failed else ".")
+        )
+    if data.get("unreached_kernels"):
+        yield f"No check launched: {', '.join(data['unreached_kernels'])}."
+    shapes = [row for row in data.get("shapes", []) if "seconds" in row]
+    if shapes:
+        best = min(shapes, key=lambda row: row["seconds"]["total"])
+        yield (
+            f"Shapes: the device's own (VEC {shapes[0]['vec']}, LANES {shapes[0]['lanes']}) takes "
+            f"{shown(shapes[0]['seconds']['total'])} s, the fastest (VEC {best['vec']}, LANES "
+            f"{best['lanes']}) {shown(best['seconds']['total'])} s."
+        )
+
+
 _FINDINGS: dict[str, Callable[[dict], Iterator[str]]] = {
     "pictures": _pictures,
     "planar": _planar,
     "mitsuba": _mitsuba,
+    "scaling": _scaling,
+    "device": _device,
 }
