@@ -236,6 +236,8 @@ def test_a_network_of_other_inputs_is_refused(cli):
 
 
 def test_bench_runs_a_checkouts_benchmarks(tmp_path, capfd):
+    pytest.importorskip("matplotlib", reason="the report needs matplotlib")
+    pytest.importorskip("jinja2", reason="the report needs jinja2")
     assert main(["bench", "report", "--out", str(tmp_path / "out")]) == 0
     assert {"report.html", "report.md"} <= {path.name for path in (tmp_path / "out").iterdir()}
     assert main(["bench", "nothing"]) == 2

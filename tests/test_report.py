@@ -12,9 +12,11 @@ pytest.importorskip("matplotlib", reason="the benchmarks need matplotlib")
 pytest.importorskip("jinja2", reason="the benchmarks need jinja2")
 
 import bench_curves
+import bench_pictures
 import references
 from bench_curves import AUTO, DEFAULT, METHODS, SLIDES, SOBOL
 from crossover import Curve, against_the_better, crossover
+from report import curves, others
 from report.build import build_report
 from report.document import shown
 from report.generic import tables
@@ -126,14 +128,14 @@ def write_results(tmp_path):
             "validation": {"spp": 64, "z": 0.5, "valid": True},
             "points": OURS if ours else PLAIN,
         }
-    curves = bench_curves.curves_of(methods)
+    found = bench_curves.curves_of(methods)
     case = {
         "scene": "box",
         "integrand": "direct",
         "reference": {"spp": 99, "seconds": 1.0, "cached": False, "mse": 1e-9, "relmse": 1e-9, "z": 0.1},
         "methods": methods,
-        "crossovers": bench_curves.crossovers(curves),
-        "auto": bench_curves.auto_rows(methods, curves),
+        "crossovers": bench_curves.crossovers(found),
+        "auto": bench_curves.auto_rows(methods, found),
         "equal_error": {SOBOL: PLAIN[-1], DEFAULT: OURS[-2]},
     }
     data = {"device": "none", "size": 8, "spps": SPPS, "repeats": 1, "left_out": {"stratified": "so"}}
@@ -172,21 +174,19 @@ def test_report_is_one_file_and_says_how_to_make_its_figures_again(built):
     assert text.count("`ncv-cl bench curves`") == len(figures)
 
 
-def test_findings_are_made_of_the_numbers(built, results):
-    text = built[2]
+def test_findings_are_made_of_the_numbers(built):
+    folder, _, text = built
     assert f"pays from {CROSSING:.0f} samples of Sobol Monte Carlo on (4.00 s)" in text
     assert f"{shown(40.96 / 22.48)} times faster" in text
     assert (
         "samples per second, against Mitsuba's usual way: ours over Mitsuba's 0.500, ours loses" in text
     )
     assert "auto loses" in text and "fog direct was not measured: its halves disagree" in text
-    data = json.loads((results / "curves.json").read_text())
-    for point in data["cases"][0]["methods"][DEFAULT]["points"]:
+    (case, _) = json.loads((folder / "curves.json").read_text())["cases"]
+    for point in case["methods"][DEFAULT]["points"]:
         point["seconds"] *= 8
-    case = data["cases"][0]
     case["crossovers"] = bench_curves.crossovers(bench_curves.curves_of(case["methods"]))
-    (results / "curves.json").write_text(json.dumps(data))
-    text = build_report(results)[1].read_text()
+    text = curves.why(case)
     assert (
         "does not pay up to 4096 samples" in text and f"{shown(8 * 22.48 / 40.96)} times as long" in text
     )
@@ -205,6 +205,65 @@ def test_any_json_becomes_tables():
     assert one.cells() == [["1", "0.500"], ["2", "1.50"], ["3", "–"]]
     (by_name,) = tables({"first": {"s": 1.0}, "second": {"s": 2.0}}, "part")
     assert by_name.cells() == [["first", "1.00"], ["second", "2.00"]]
+
+
+def planar(method: str, reduction: float, **more: object) -> dict:
+    return {
+        "integrand": "disk",
+        "method": method,
+        "sampler": "sobol",
+        "variance_reduction": reduction,
+        **more,
+    }
+
+
+@pytest.mark.parametrize(
+    "name, data, said",
+    [
+        (
+            "planar",
+            {"equal_samples": [planar("ours, density", 5.0), planar("normalizing flow", 2.0)]},
+            "disk, equal samples: ours wins: variance reduction 5.00 (ours, density, sobol) against 2",
+        ),
+        (
+            "planar",
+            {"equal_samples": [planar("ours, density", 5.0), planar("polynomial regression", 9.0)]},
+            "disk, equal samples: ours loses",
+        ),
+        (
+            "planar",
+            {
+                "equal_time": [
+                    planar(name, gain, seconds=seconds, ns_a_value=0.0)
+                    for seconds, gains in ((1.0, (3.0, 2.0)), (8.0, (3.0, 4.0)))
+                    for name, gain in zip(("ncv_cl.estimate", "Monte Carlo"), gains, strict=True)
+                ]
+            },
+            "disk, equal time: ours has the least error in 1 of 2 settings.",
+        ),
+        ("planar", {"missing": {"normalizing flow": "needs zuko"}}, "left out: it needs zuko"),
+        ("mitsuba", {"time_to_error_ratio": 4.5}, "ours over Mitsuba's 4.50, ours wins"),
+        ("mitsuba", {"time_to_error_ratio": None}, "not measured or not reached"),
+        (
+            "scaling",
+            {"points": [{"size": n, "seconds": {"total": n / 32}} for n in (64, 128)]},
+            "points: from size 64 to 128 a render takes 2.00 times as long",
+        ),
+        (
+            "device",
+            {
+                "device": "abacus",
+                "checks": [{"subject": "mlp", "error": ""}, {"subject": "fold", "error": "x"}],
+            },
+            "abacus: 1 of 2 checks of kernels against their references pass; fold fail.",
+        ),
+        ("gi", {"findings": ["It is dark."]}, "It is dark."),
+    ],
+)  # fmt: skip
+def test_other_parts_numbers_become_sentences(tmp_path, monkeypatch, name, data, said):
+    monkeypatch.setattr(others, "_planar_plot", lambda *_: [])
+    found = others.section(PARTS[name], data, tmp_path, "command")
+    assert [text for text in found.findings if said in text], found.findings
 
 
 @pytest.mark.parametrize(
@@ -245,3 +304,25 @@ def test_small_curves_are_measured_end_to_end(one_device, tmp_path, monkeypatch)
     (file,) = tmp_path.glob("*.npz")
     scene = bench_curves.Case(one_device, "cornell_box", "direct", plan)
     assert scene.reference.cached and file.name.startswith("cornell_box_direct_")
+
+
+def test_pictures_are_drawn_at_equal_time(one_device, tmp_path, monkeypatch):
+    monkeypatch.setattr(references, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(bench_pictures, "PLANS", {True: bench_pictures.Plan(12, 4, 64)})
+    monkeypatch.setattr(bench_pictures, "cases_of", lambda quick: [("plane_light", "direct")])
+    data = bench_pictures.run(True, tmp_path, one_device)
+    (case,) = data["cases"]
+    assert (tmp_path / case["picture"]).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert set(case["methods"]) == {SOBOL, DEFAULT}
+    assert case["methods"][SOBOL]["samples"] >= 4 and case["methods"][DEFAULT]["mse"] > 0
+    (text, *_) = others.section(PARTS["pictures"], data, tmp_path, "command").findings
+    assert text.startswith("plane_light direct: in")
+
+
+@pytest.mark.skipif(not bench_pictures.has_flip(), reason="this OpenImageIO has no FLIP_diff")
+def test_flip_grows_with_the_error():
+    picture = np.random.default_rng(0).uniform(0.2, 0.8, (32, 32, 3))
+    same, near, far = (
+        bench_pictures.flip_map(picture, picture + offset).mean() for offset in (0, 0.02, 0.1)
+    )
+    assert same == pytest.approx(0, abs=1e-6) and same < near < far < 1
