@@ -78,20 +78,14 @@ class Curve:
         samples = self.samples_to(error)
         found = np.interp(samples, self.samples, self.seconds)
         beyond = samples > self.samples[-1]
-        found[beyond] += self.cost()[1] * (samples[beyond] - self.samples[-1])
+        _, cost = self.cost(self.samples[-1])
+        found[beyond] += cost * (samples[beyond] - self.samples[-1])
         return found
 
-    def cost(self) -> tuple[float, float]:
-        """Fixed seconds and seconds per sample.
-
-        Fixed are the setup of the last point and what a straight line through the rest has at no
-        samples (least squares of relative deviations).
-        """
-        drawing = self.seconds - self.setup
-        if len(self.samples) == 1:
-            return float(self.setup[0]), float(drawing[0] / self.samples[0])
-        slope, fixed = np.polyfit(self.samples, drawing, 1, w=1 / drawing)
-        return float(fixed + self.setup[-1]), float(slope)
+    def cost(self, samples: float) -> tuple[float, float]:
+        """Seconds of setup, and seconds per sample of all else, at a number of samples."""
+        setup = float(np.interp(samples, self.samples, self.setup))
+        return setup, (float(np.interp(samples, self.samples, self.seconds)) - setup) / samples
 
 
 @dataclass(frozen=True)
@@ -108,9 +102,9 @@ class Crossover:
         The smallest error that both reached, the other method's samples there, and its seconds over
         ours.
     fixed_seconds : float
-        What our method takes without samples, less what the other takes.
+        Our training and integration at `end_error`, less the other's.
     plain_cost, our_cost : float
-        Seconds per sample a point.
+        Seconds per sample a point of all else, there.
     samples_ratio : float
         The other's samples over ours at `end_error`.
     """
@@ -173,8 +167,8 @@ def crossover(plain: Curve, ours: Curve) -> Crossover:
             float(ours.seconds_to(error)[0]),
             error,
         )
-    (plain_fixed, plain_cost), (our_fixed, our_cost) = plain.cost(), ours.cost()
-    end_plain = float(plain.samples_to(end)[0])
+    end_plain, end_ours = float(plain.samples_to(end)[0]), float(ours.samples_to(end)[0])
+    (plain_fixed, plain_cost), (our_fixed, our_cost) = plain.cost(end_plain), ours.cost(end_ours)
     return Crossover(
         status,
         *found,
@@ -184,7 +178,7 @@ def crossover(plain: Curve, ours: Curve) -> Crossover:
         fixed_seconds=our_fixed - plain_fixed,
         plain_cost=plain_cost,
         our_cost=our_cost,
-        samples_ratio=end_plain / float(ours.samples_to(end)[0]),
+        samples_ratio=end_plain / end_ours,
     )
 
 
