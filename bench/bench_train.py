@@ -14,7 +14,11 @@ from pathlib import Path
 from training import CASES, TrainingCase
 
 from ncv_cl.choose import choose_device
+from ncv_cl.device import Device
 from ncv_cl.presets import PRESETS, Preset
+
+# An image with more points than training wants samples, and training samples a point there, on average.
+LARGE, LARGE_SPP = 1024, 2
 
 
 def main() -> None:
@@ -47,17 +51,34 @@ def main() -> None:
                     **asdict(outcome),
                 }
             )
-            print(
-                f"{scene:12} {integrand:7} {name:8} {samples:4} samples x {passes} passes: residual "
-                f"{outcome.residual:.4f} after {outcome.seconds:.3f} s "
-                f"({outcome.nanoseconds_a_sample:.0f} ns a sample)",
-                flush=True,
-            )
+            report_line(rows[-1], size)
+        if not options.quick:
+            rows.append(large_image(device, scene, integrand))
+            report_line(rows[-1], LARGE)
     if options.json:
         report = {"device": device.identity, "size": size, "runs": rows}
         Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     if options.plot:
-        plot(rows, device.identity, options.plot)
+        plot([row for row in rows if "size" not in row], device.identity, options.plot)
+
+
+def large_image(device: Device, scene: str, integrand: str) -> dict:
+    """Two training samples a point on average, as 16 of every eighth point."""
+    case = TrainingCase(device, scene, integrand, LARGE)
+    passes = 2
+    outcome = case.run(with_passes("default", passes), 16, LARGE_SPP / 16)
+    about = {"scene": scene, "integrand": integrand, "preset": "default", "samples": LARGE_SPP}
+    return {**about, "passes": passes, "size": LARGE, **asdict(outcome)}
+
+
+def report_line(row: dict, size: int) -> None:
+    print(
+        f"{row['scene']:12} {row['integrand']:7} {row['preset']:8} {size:4}^2 "
+        f"{row['samples']:4} samples x {row['passes']} passes: "
+        f"residual {row['residual']:.4f} after {row['seconds']:.3f} s "
+        f"({row['nanoseconds_a_sample']:.0f} ns a sample)",
+        flush=True,
+    )
 
 
 def with_passes(name: str, passes: int) -> Preset:

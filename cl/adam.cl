@@ -9,8 +9,9 @@
  * Which groups and entries, and the step sizes, stand in the step's rows of `plan` and `rates`, of which the
  * global offset tells the number (Kernel.repeat).
  *
- * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then the second moment
- * that they share, then what share of that moment the gradients so far make up.
+ * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then with TABLE_ADAM both of
+ * Adam's moments of each, else the second moment that they share, and what share of that moment the gradients so
+ * far make up.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
@@ -20,21 +21,49 @@
 /* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
 #define TINY 1e-30f
 
+/* An entry's gradient by the index's item. */
+entry_features gather_gradient(const uint item, global const uint *restrict starts, global const uint *restrict places,
+                               global const float *restrict weights, global const float *restrict grid_gradient) {
+  entry_features sum = (entry_features)0.0f;
+  for (uint k = starts[item]; k < starts[item + 1]; ++k) sum += weights[k] * LOAD_ENTRY(grid_gradient + places[k]);
+  return sum;
+}
+
+#if TABLE_ADAM
+/* Table entries number first .. first + VEC of the index, those before `end`, as the network's parameters are
+ * updated. The corrections in the step's `rates` are right for entries that every minibatch touches. */
+void update_entries(global const float *restrict rates, const uint first, const uint end,
+                    global const uint *restrict entries, global const uint *restrict starts,
+                    global const uint *restrict places, global const float *restrict weights,
+                    global const float *restrict grid_gradient, global float *restrict table) {
+  const float rate = rates[RATE_TABLE];
+  for (uint item = first; item < min(first + VEC, end); ++item) {
+    const entry_features gradient = gather_gradient(item, starts, places, weights, grid_gradient);
+    global float *restrict own = table + entries[item] * (ulong)ENTRY_FLOATS;
+    const entry_features m1 = ADAM_BETA1 * LOAD_ENTRY(own + AT_MOMENT) + ((1.0f - ADAM_BETA1) * gradient + TINY);
+    const entry_features m2 = ADAM_BETA2 * LOAD_ENTRY(own + AT_MOMENT + GRID_FEATURES) +
+                              ((1.0f - ADAM_BETA2) * gradient * gradient + TINY);
+    STORE_ENTRY(LOAD_ENTRY(own) - rate * (m1 * rates[RATE_CORRECTION1]) /
+                                         (sqrt(m2 * rates[RATE_CORRECTION2]) + ADAM_EPSILON), own);
+    STORE_ENTRY(m1, own + AT_MOMENT);
+    STORE_ENTRY(m2, own + AT_MOMENT + GRID_FEATURES);
+  }
+}
+#else
 /* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second moment for
- * all its features and no first one: entries are touched too rarely for momentum. `rate`: step size. */
-void update_entries(const float rate, const uint first, const uint end, global const uint *restrict entries,
-                    global const uint *restrict starts, global const uint *restrict places,
-                    global const float *restrict weights, global const float *restrict grid_gradient,
-                    global float *restrict table) {
+ * all its features and no first one: entries are touched too rarely for momentum. The moments of an entry
+ * correct themselves. */
+void update_entries(global const float *restrict rates, const uint first, const uint end,
+                    global const uint *restrict entries, global const uint *restrict starts,
+                    global const uint *restrict places, global const float *restrict weights,
+                    global const float *restrict grid_gradient, global float *restrict table) {
   float gradient[VEC * GRID_FEATURES];
   float squares[VEC];
   float moment[VEC];
   float share[VEC];
   for (uint e = 0; e < VEC; ++e) {
     const uint item = min(first + e, end - 1);
-    entry_features sum = (entry_features)0.0f;
-    for (uint k = starts[item]; k < starts[item + 1]; ++k) sum += weights[k] * LOAD_ENTRY(grid_gradient + places[k]);
-    STORE_ENTRY(sum, gradient + e * GRID_FEATURES);
+    STORE_ENTRY(gather_gradient(item, starts, places, weights, grid_gradient), gradient + e * GRID_FEATURES);
     squares[e] = 0.0f;
     for (uint f = 0; f < GRID_FEATURES; ++f)
       squares[e] += gradient[e * GRID_FEATURES + f] * gradient[e * GRID_FEATURES + f];
@@ -46,7 +75,7 @@ void update_entries(const float rate, const uint first, const uint end, global c
   const real moments = TABLE_BETA2 * LOAD(moment) + ((1.0f - TABLE_BETA2) / GRID_FEATURES * LOAD(squares) + TINY);
   const real shares = TABLE_BETA2 * LOAD(share) + (1.0f - TABLE_BETA2);
   float step[VEC];
-  STORE(rate / (sqrt(moments / shares) + ADAM_EPSILON), step);
+  STORE(rates[RATE_TABLE] / (sqrt(moments / shares) + ADAM_EPSILON), step);
   STORE(moments, moment);
   STORE(shares, share);
   for (uint e = 0; e < VEC && first + e < end; ++e) {
@@ -56,6 +85,7 @@ void update_entries(const float rate, const uint first, const uint end, global c
     own[AT_MOMENT + 1] = share[e];
   }
 }
+#endif
 
 kernel void adam(global const uint *restrict plan, global const float *restrict rates,
                  global const float *restrict partial, global float *restrict parameters,
@@ -94,6 +124,6 @@ kernel void adam(global const uint *restrict plan, global const float *restrict 
   }
   const uint first = step[PLAN_FIRST_ENTRY] + (work_item - PARTIAL_FLOATS / VEC) * VEC;
   if (first < step[PLAN_END_ENTRY])
-    update_entries(own_rates[RATE_TABLE], first, step[PLAN_END_ENTRY], entries, starts, places, weights,
-                   grid_gradient, table);
+    update_entries(own_rates, first, step[PLAN_END_ENTRY], entries, starts,
+                   places, weights, grid_gradient, table);
 }

@@ -78,6 +78,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   float count = 0.0f;
 #if WITH_NETWORK
   const PointNetwork network = NETWORK_OF(point);
+  const bool skips_network = is_constant(&network);
 #endif
   for (uint first = lane * VEC; first < sample_count; first += LANES * VEC) {
     const ulong at = (ulong)batch_point * stride + first;
@@ -88,7 +89,11 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     for (uint c = 0; c < CHANNELS; ++c) x[c] = LOAD(value + c * plane + at) * seen;
 #if WITH_NETWORK
     real g[CHANNELS];
-    network_value(&network, LOAD(u + at), LOAD(v + at), g);
+    if (skips_network) {
+      for (int c = 0; c < CHANNELS; ++c) g[c] = (real)network.b3[c];
+    } else {
+      network_value(&network, LOAD(u + at), LOAD(v + at), g);
+    }
     for (int c = 0; c < CHANNELS; ++c) x[CHANNELS + c] = x[c] - g[c];
 #endif
 #if WEIGHTED

@@ -44,6 +44,14 @@ typedef struct {
 #define NEURON_BLOCK 1
 #endif
 
+/* Whether g is b3 everywhere, as where the control coefficient is zero (alpha.cl); most often the first weight
+ * tells. */
+bool is_constant(const PointNetwork *network) {
+  for (int i = 0; i < CHANNELS * HIDDEN2; ++i)
+    if (network->w3[i] != 0.0f) return false;
+  return true;
+}
+
 /* g at VEC samples. Inner loops are unrolled so that activations can live in registers. */
 void network_value(const PointNetwork *network, const real u, const real v, real value[CHANNELS]) {
   real h1[HIDDEN1];

@@ -18,8 +18,10 @@ VALUES_A_CLASS = 96
 MOST_CLASSES = 16
 # A prior of the variance counts as much as so many samples.
 PRIOR_SAMPLES = 12
-# A prior is a mean over so many sub-pixels to each side.
-LOCAL_RADIUS = 2
+# What neighbours say is a mean over so many sub-pixels to each side.
+LOCAL_RADIUS = 3
+# Of what is expected of a point's error, the part that its own halves say; the rest is its neighbours'.
+OWN_SHARE = 0.3
 # Stands for a ratio of zero, which has no logarithm.
 SMALLEST_RATIO = 1e-9
 
@@ -56,14 +58,14 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
 
 
 def calibrate(
-    first: Estimate, second: Estimate, twice: np.ndarray, prior: np.ndarray | None = None
+    first: Estimate, second: Estimate, twice: np.ndarray, expected: np.ndarray, repeated: np.ndarray
 ) -> Estimate:
     """One estimate of both, with a variance that holds for stratified samples.
 
     Half the squared difference of two independent estimates of a point is an unbiased estimate of their
-    variance, but one number is a poor one. So it is averaged over points for which the same variance was
-    expected were samples independent, s² / n: classes of neighbours in that order, between whose middles
-    the ratio to s² / n is interpolated. Where n is small, s² itself is uncertain; a prior steadies it.
+    variance, but one number is a poor one. So it is averaged over points for which about the same
+    variance was expected: classes of neighbours in that order, between whose middles the ratio of
+    measured to expected is interpolated.
 
     Parameters
     ----------
@@ -73,14 +75,15 @@ def calibrate(
         Of the points `twice`, with as many samples as the first and another scramble.
     twice : ndarray
         uint32.
-    prior : ndarray, optional
-        (points,), what the variance of a point's sample was predicted to be, up to a common factor.
+    expected : ndarray
+        (channels, points), what is expected of the first estimate's variance, up to a factor that may
+        depend on it: `steadied` or `halves`.
+    repeated : ndarray
+        (channels, points done twice), the same of the second estimate.
     """
-    single, repeated = steadied(first, prior), steadied(second, prior)
-    expected = single / np.maximum(first.samples, 1)
     difference = first.mean[:, twice] - second.mean[:, twice]
     measured = 0.5 * difference**2
-    both = 0.5 * (expected[:, twice] + repeated[:, twice] / np.maximum(second.samples[twice], 1))
+    both = 0.5 * (expected[:, twice] + repeated)
     ratio = _ratio_curve(both.ravel(), measured.ravel(), expected)
     mean, variance, samples = first.mean.copy(), expected * ratio, first.samples.copy()
     mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
@@ -89,8 +92,34 @@ def calibrate(
     return replace(first, mean=mean, samples=samples, calibrated=variance)
 
 
+def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """What to expect of the variance of `mean`, of all samples, from that of a `part` of them.
+
+    Up to a factor that all points share, the squared difference of two parts of a point's samples is an
+    estimate of its variance however its samples are spread; that of its neighbours steadies it.
+
+    Parameters
+    ----------
+    mean, part : ndarray
+        (channels, points).
+    cell, columns, rows
+        As `local_mean` takes them.
+    """
+    squares = (mean - part) ** 2
+    near = np.stack([local_mean(row, cell, columns, rows) for row in squares])
+    return OWN_SHARE * squares + (1 - OWN_SHARE) * near
+
+
 def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
-    """Variances of single samples, (channels, points), each with the prior's mixed in."""
+    """Variances of single samples, (channels, points), each with the prior's mixed in.
+
+    Where there are few samples their variance is itself uncertain.
+
+    Parameters
+    ----------
+    prior : ndarray, optional
+        (points,), what the variance of a point's sample was predicted to be, up to a common factor.
+    """
     if prior is None or not np.any(prior):
         return estimate.variance
     degrees = np.maximum(estimate.samples - 1, 0)

@@ -40,6 +40,10 @@ class Checkpoint:
         The control variate and its density.
     prediction : dict, optional
         Of method "auto".
+    alpha : ndarray, optional
+        The control variate's coefficients.
+    parts : list of ndarray
+        As `Estimation` keeps them.
     """
 
     identity: dict[str, object]
@@ -50,6 +54,8 @@ class Checkpoint:
     network: Network | None
     density: DensityNetwork | None
     prediction: dict[str, object] | None
+    alpha: np.ndarray | None
+    parts: list[np.ndarray]
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
@@ -57,12 +63,15 @@ class Checkpoint:
         arrays: dict[str, np.ndarray] = {}
         for number, (state, samples) in enumerate(self.states):
             arrays |= {f"state{number}": state, f"samples{number}": samples}
+        arrays |= {f"part{number}": part for number, part in enumerate(self.parts)}
         if self.before is not None:
             arrays |= {
                 "before_mean": self.before.mean,
                 "before_variance": self.before.variance,
                 "before_samples": self.before.samples,
             }
+        if self.alpha is not None:
+            arrays["alpha"] = self.alpha
         about = {
             "identity": self.identity,
             "method": self.method,
@@ -117,6 +126,8 @@ class Checkpoint:
             Network.load(path) if has_network else None,
             DensityNetwork.load(path) if has_network else None,
             about["prediction"],
+            arrays.get("alpha"),
+            [arrays[name] for name in ("part0", "part1") if name in arrays],
         )
 
     def check(self, identity: dict[str, object]) -> None:

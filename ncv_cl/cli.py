@@ -88,6 +88,12 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--allocation", choices=ALLOCATIONS, help="samples over the image (default: the preset's)")
     add("--target-mse", type=float, metavar="E", help="end at this mean square error (spp: the most)")
     add("--time-limit", type=float, metavar="S", help="end within so many seconds (spp: the most)")
+    add(
+        "--no-skip-dark",
+        dest="skip_dark",
+        action="store_false",
+        help="compute also the zeros of points that face away from every light",
+    )
     add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
     add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
     add("--checkpoint", metavar="FILE", help="write what there is after every pass here")
@@ -271,6 +277,7 @@ def _render(options: argparse.Namespace) -> int:
         allocation=options.allocation,
         target_mse=options.target_mse,
         time_limit=options.time_limit,
+        skip_dark=options.skip_dark,
         network=options.network,
         save_network=options.save_network,
         checkpoint=options.checkpoint,
@@ -301,6 +308,19 @@ def _summary(stats: dict) -> str:
         f"{stats['samples_per_point']:.4g} samples each on average, "
         f"{stats['rays_traced']} rays traced ({stats['rays_skipped']} skipped)"
     ]
+    skipped = stats["skipped"]
+    lines.append(
+        f"skipped  {skipped['background_points']} background points, "
+        f"{skipped['points_on_lights']} on lights, {skipped['points_without_light']} that see no light; "
+        f"rays worth {skipped['ray_seconds']:.3f} s; "
+        f"inputs that do not vary: {', '.join(skipped['inputs']) or 'none'}"
+    )
+    if "lines" in skipped:
+        lines.append(
+            f"         {100 * skipped['lines']:.0f} % of first-layer lines miss the square, "
+            f"{100 * skipped['dead_neurons']:.0f} % of neurons are zero in it; "
+            f"{skipped.get('networks', 0)} networks of coefficient zero"
+        )
     if "residual_variance_ratio" in stats:
         lines.append(f"residual variance / plain variance {stats['residual_variance_ratio']:.4f}")
     if "mse" in stats:

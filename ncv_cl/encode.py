@@ -10,8 +10,6 @@ from .device import Device, HostArray
 from .points import ShadingPoints, surface_defines
 from .program import Program, build
 
-# Sorts behind every pair of a column and a table entry.
-_NO_PAIR = np.uint64(2**64 - 1)
 # Components that each input has before its encoding, in feature order.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
@@ -167,13 +165,24 @@ class Encoder:
 
 
 class TouchedTable:
-    """The hash grid's touched entries with what training keeps beside their values (adam.cl)."""
+    """The hash grid's touched entries with what training keeps beside their values (adam.cl).
 
-    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray) -> None:
+    Parameters
+    ----------
+    device
+    start : ndarray
+        float32 (entries, features), the whole table's values.
+    touched : ndarray
+        The entries that are kept.
+    moments : int
+        Floats beside the values of each.
+    """
+
+    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray, moments: int) -> None:
         self._start, self._touched = start, touched
         self._features = start.shape[1]
         # A power of two: no entry lies across two cache lines.
-        self.entry_floats = 1 << (self._features + 1).bit_length()
+        self.entry_floats = 1 << (self._features + moments - 1).bit_length()
         self.state = HostArray(device, (len(touched), self.entry_floats), np.float32)
         with self.state.mapped(write=True) as state:
             state[:, : self._features] = start[touched]
@@ -212,34 +221,39 @@ class GridIndex:
         number = np.cumsum(is_touched, dtype=np.uint32) - np.uint32(1)
         corner = number[corner]
         self.corner = HostArray.of(device, np.ascontiguousarray(corner.T))
-        keys, largest = self._sorted_keys(corner, batches)
-        is_pair = keys != _NO_PAIR
-        ordered = (keys >> np.uint64(32)).astype(np.uint32)
-        is_first = is_pair.copy()
-        is_first[:, 1:] &= ordered[:, 1:] != ordered[:, :-1]
-        ends = np.cumsum(is_first.sum(axis=1)).tolist()
+        keys, numbers = self._sorted_keys(corner, batches)
+        entry = (keys >> np.uint64(32)).astype(np.uint32)
+        lengths = np.array([len(batch) for batch in batches]) * len(corner)
+        firsts = np.cumsum(lengths) - lengths
+        is_first = np.empty(len(keys), bool)
+        np.not_equal(entry[1:], entry[:-1], out=is_first[1:])
+        is_first[firsts] = True
+        ends = np.cumsum(np.add.reduceat(is_first, firsts, dtype=np.int64)).tolist()
         self.batches = [range(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-        starts = np.append(np.flatnonzero(is_first[is_pair]), np.count_nonzero(is_pair))
-        row, column = np.divmod(keys.astype(np.uint32), np.uint32(largest))
-        place = column * np.uint32(encoding.grid_rows) + row // 8 * np.uint32(encoding.grid_features)
-        begin = np.array([batch.start for batch in batches])[:, None]
-        pair_weights = weight[row[is_pair], (begin + column)[is_pair]]
-        parts = ordered[is_first], starts.astype(np.uint32), place[is_pair], pair_weights
+        starts = np.append(np.flatnonzero(is_first), len(keys)).astype(np.uint32)
+        number = (keys & np.uint64(0xFFFFFFFF)).astype(np.uint32)
+        # By number of a pair, for one minibatch: its row of corners and its column.
+        row, column = np.divmod(np.arange(numbers.size, dtype=np.uint32), np.uint32(numbers.shape[1]))
+        places = column * np.uint32(encoding.grid_rows) + row // 8 * np.uint32(encoding.grid_features)
+        begin = np.repeat(np.array([batch.start for batch in batches], np.uint32), lengths)
+        pair = row[number].astype(np.int64) * weight.shape[1] + (begin + column[number])
+        parts = entry[is_first], starts, places[number], weight.ravel()[pair]
         self.arrays = tuple(HostArray.of(device, part) for part in parts)
 
-    def _sorted_keys(self, corner: np.ndarray, batches: list[range]) -> tuple[np.ndarray, int]:
-        """For each minibatch, entry and number of each pair in one word, sorted; and most columns.
+    def _sorted_keys(self, corner: np.ndarray, batches: list[range]) -> tuple[np.ndarray, np.ndarray]:
+        """Entry and number of each pair in one word, sorted within each minibatch; and the numbers.
 
-        Sorting plain numbers is many times faster than finding a stable order.
+        Sorting plain words is many times faster than finding a stable order.
         """
         largest = max(map(len, batches))
-        keys = np.full((len(batches), len(corner), largest), _NO_PAIR)
-        for own, batch in zip(keys, batches, strict=True):
-            own[:, : len(batch)] = corner[:, batch.start : batch.stop]
-            own[:, : len(batch)] <<= np.uint64(32)
-        numbers = np.arange(keys[0].size, dtype=np.uint64).reshape(keys[0].shape)
-        # The word that stands for no pair has all bits set and stays as it is.
-        keys |= numbers
-        keys = keys.reshape(len(batches), -1)
-        keys.sort(axis=1)
-        return keys, largest
+        numbers = np.arange(len(corner) * largest, dtype=np.uint64).reshape(len(corner), largest)
+        keys = np.empty(corner.size, np.uint64)
+        begin = 0
+        for batch in batches:
+            own = keys[begin : begin + len(corner) * len(batch)]
+            view = own.reshape(len(corner), len(batch))
+            np.left_shift(corner[:, batch.start : batch.stop], np.uint64(32), out=view)
+            view |= numbers[:, : len(batch)]
+            own.sort()
+            begin += len(own)
+        return keys, numbers

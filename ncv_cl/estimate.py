@@ -140,6 +140,12 @@ class Estimator:
             view[...] = whole
         self.samples[self._chosen] = samples
 
+    def means(self) -> np.ndarray:
+        """Means so far, float64 (quantities, channels, points)."""
+        state = self._state.read().astype(np.float64)
+        state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)
+        return state[:, :, 0] + state[:, :, 1]
+
     def result(self, quantity: int = 0) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1)."""
         state = self._state.read().astype(np.float64)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .allocate import Allocation
-from .calibrate import calibrate, local_mean, points_done_twice, steadied
+from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
 from .density import Density
 from .device import Device
 from .estimate import Estimate, Estimator
@@ -68,7 +68,12 @@ class Estimation:
             restricted = allocation.restricted(self.twice, points.active)
             targets.append(Target(self._second, restricted, Stream.CALIBRATION))
         table = density.table if density is not None and settings.uses_density else None
-        self.passes = Passes(device, source, targets, edges, table, watch)
+        self.passes = Passes(device, source, targets, edges, table, watch, self._keep_parts)
+        # Means after the last powers of two of passes: parts of what there is.
+        self.parts: list[np.ndarray] = []
+        self._done = 0
+        # By a density samples lie where errors are, and their variance tells these well.
+        self._looks_at_parts = self._second is not None and table is None
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g."""
@@ -82,17 +87,38 @@ class Estimation:
                 replace(one, calibrated=steadied(one, prior) / np.maximum(one.samples, 1))
                 for one in first
             ]
-        return [
-            calibrate(one, self._second.result(quantity), self.twice, prior)
-            for quantity, one in enumerate(first)
-        ]
+        # The last one may be all there is.
+        parts = self.parts[:-1] if _is_power_of_two(self._done) else self.parts
+        found = []
+        for quantity, one in enumerate(first):
+            second = self._second.result(quantity)
+            if not parts:
+                expected, repeated = (
+                    steadied(each, prior) / np.maximum(each.samples, 1) for each in (one, second)
+                )
+                repeated = repeated[:, self.twice]
+            else:
+                expected = halves(one.mean, parts[-1][quantity], *self._grid)
+                repeated = expected[:, self.twice]
+            found.append(calibrate(one, second, self.twice, expected, repeated))
+        return found
+
+    def _keep_parts(self, done: int) -> None:
+        """Keep the means after the last two powers of two of passes."""
+        self._done = done
+        if self._looks_at_parts and _is_power_of_two(done):
+            self.parts = [*self.parts[-1:], self._first.means()]
+
+    @property
+    def _grid(self) -> tuple[np.ndarray, int, int]:
+        """The points' sub-pixels, and columns and rows of these."""
+        columns, rows = (self._settings.supersample * size for size in self._settings.size)
+        return self._points.cell[: self._points.active], columns, rows
 
     def _prior(self, estimate: Estimate) -> np.ndarray:
         """What to expect of the variance of a point's sample, up to a factor: (points,)."""
-        settings, active = self._settings, self._points.active
-        columns, rows = (settings.supersample * size for size in settings.size)
         variance = estimate.variance.sum(axis=0)
-        prior = local_mean(variance, self._points.cell[:active], columns, rows)
+        prior = local_mean(variance, *self._grid)
         if self._magnitude is None:
             return prior
         predicted = self._magnitude**2
@@ -120,8 +146,15 @@ class Estimation:
         """What `restore` takes."""
         return [one.state() for one in (self._first, self._second) if one is not None]
 
-    def restore(self, states: list[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Go on from another estimation's `states`."""
+    def restore(
+        self, states: list[tuple[np.ndarray, np.ndarray]], parts: list[np.ndarray], done: int
+    ) -> None:
+        """Go on from another estimation's `states` and `parts` after `done` passes."""
+        self.parts, self._done = parts, done
         estimators = [one for one in (self._first, self._second) if one is not None]
         for estimator, state in zip(estimators, states, strict=True):
             estimator.restore(*state)
+
+
+def _is_power_of_two(number: int) -> bool:
+    return number & (number - 1) == 0

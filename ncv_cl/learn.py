@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .alpha import can_scale, control_coefficients
 from .density import DensityNetwork, DensityTrainer
 from .device import Device, HostArray
 from .encode import GridCube
@@ -141,6 +142,15 @@ def _fit(
         and losses[-1] < 2.0 * losses[0]
     )
     return Learned(estimator.result(), None if diverged else network, trainer)
+
+
+def learn_alpha(
+    points: ShadingPoints, folded: FoldedNetwork, trainer: Trainer, columns: int
+) -> np.ndarray | None:
+    """Control coefficients from the trainer's samples; None for networks that cannot take them."""
+    if not can_scale(folded):
+        return None
+    return control_coefficients(folded, trainer.samples_of(folded.network), points, columns)
 
 
 def learn_density(

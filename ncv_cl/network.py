@@ -224,7 +224,9 @@ class Network:
         description.base(parameters, "B1")[...] = -np.sum(w1 * through, axis=1)
         description.base(parameters, "B2")[...] = 0.0
         description.base(parameters, "B3")[...] = 0.0
-        table = generator.uniform(-1e-4, 1e-4, description.encoding.table_shape).astype(np.float32)
+        table = generator.random(description.encoding.table_shape, np.float32)
+        table -= np.float32(0.5)
+        table *= np.float32(2e-4)
         return cls(description, parameters, table, cube)
 
     def check_fits(self, channels: int, inputs: tuple[str, ...]) -> None:

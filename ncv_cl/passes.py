@@ -25,10 +25,15 @@ class Target(NamedTuple):
 
 
 def pass_edges(samples: int, samples_a_pass: int, first_pass: int) -> list[int]:
-    """Where passes begin and end, in samples a point: one of its own length, the others alike."""
+    """Where passes begin and end, in samples a point: one of its own length, the others alike.
+
+    There are two at least, where there are samples for it: by how far they differ the error is known.
+    """
     first = min(first_pass, samples)
     rest = samples - first
     others = max(1, round(rest / samples_a_pass)) if rest else 0
+    if not rest and samples > 1:
+        return [0, samples // 2, samples]
     return [0, *(first + rest * k // others for k in range(others)), samples]
 
 
@@ -48,6 +53,8 @@ class Passes:
         As `SampleSource.draw` takes it.
     watch : Stopwatch
         Gets the seconds of stage "estimate".
+    after_pass : callable
+        Told after each pass how many are done.
     """
 
     def __init__(
@@ -58,7 +65,9 @@ class Passes:
         edges: Sequence[int],
         density: HostArray | None,
         watch: Stopwatch,
+        after_pass: Callable[[int], None] = lambda done: None,
     ) -> None:
+        self._after_pass = after_pass
         self._device, self._source, self._watch = device, source, watch
         self._targets, self._density = targets, density
         self._orders = [HostArray.of(device, target.allocation.chosen) for target in targets]
@@ -90,6 +99,7 @@ class Passes:
             for number in range(first, last):
                 for target, order in zip(self._targets, self._orders, strict=True):
                     self._run_one(target, order, number, bar)
+                self._after_pass(number + 1)
                 if enough is not None and enough():
                     return number + 1
         return last

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,8 @@ class ShadingPoints:
         The first `active` points have an integral; the rest only fill image layers.
     background : int
         Sub-pixels whose camera ray hit nothing.
+    dark : int
+        Points that `without_last` took out, since their integral is zero.
     """
 
     surface: HostArray
@@ -64,6 +66,7 @@ class ShadingPoints:
     light: np.ndarray
     active: int
     background: int
+    dark: int = 0
 
     @property
     def total(self) -> int:
@@ -74,6 +77,22 @@ class ShadingPoints:
         key = name.upper()
         with self.surface.mapped() as surface:
             return surface[ROW[key] : ROW[key] + _ROWS[key]].copy()
+
+    def with_dark_last(self, dark: np.ndarray) -> ShadingPoints:
+        """The same points, of the active ones those where `dark` (active,) is true last."""
+        if not dark.any():
+            return self
+        order = np.arange(self.total)
+        order[: self.active] = np.argsort(dark, kind="stable")
+        surface = HostArray(self.surface.device, self.surface.shape, np.float32)
+        with self.surface.mapped() as old, surface.mapped(write=True) as new:
+            for row, values in zip(new, old, strict=True):
+                np.take(values, order, out=row)
+        return replace(self, surface=surface, cell=self.cell[order], light=self.light[order])
+
+    def without_last(self, dark: int) -> ShadingPoints:
+        """The same points, the last `dark` active ones inactive."""
+        return replace(self, active=self.active - dark, dark=dark)
 
 
 def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .allocate import Allocation, allocate
+from .alpha import scale
 from .auto import FIRST_SAMPLES, Prediction, predict
 from .checkpoint import Checkpoint
 from .choose import choose_device
@@ -21,19 +22,19 @@ from .estimate import Estimate, Estimator
 from .estimation import Estimation
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .learn import learn, learn_density
+from .learn import Learned, learn, learn_alpha, learn_density
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
-from .points import find_points
+from .points import ShadingPoints, find_points
 from .presets import PRESETS
-from .report import identity, metadata, statistics
+from .report import identity, metadata, skips, statistics
 from .resolve import resolve_image
 from .sampler import Stream
 from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .trace import Tracer
-from .variate import ControlVariate, integrals_of
+from .variate import ControlVariate, idle_neurons, integrals_of
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 RESIDUAL_PASS = 128
@@ -56,6 +57,7 @@ def render(
     allocation: str | None = None,
     target_mse: float | None = None,
     time_limit: float | None = None,
+    skip_dark: bool = True,
     network: Network | str | Path | None = None,
     save_network: str | Path | None = None,
     checkpoint: str | Path | None = None,
@@ -103,9 +105,11 @@ def render(
     target_mse, time_limit : float, optional
         End after the pass in which the image's mean square error is estimated to be this, or before the
         pass that would outlast so many seconds; `spp` is then the most that is drawn.
+    skip_dark : bool
+        Leave out points that face away from every light. False computes their zeros, to compare.
     network : Network, str or Path, optional
         A trained network, or its file, to use instead of training one ("ncv"). Only a file holds the
-        density as well.
+        density as well. Control coefficients belong to the image they were found for, and are 1 here.
     save_network : str or Path, optional
         Where to write the trained network and its density, ``.npz``.
     checkpoint : str or Path, optional
@@ -145,7 +149,7 @@ def render(
         integrand = INTEGRANDS[integrand]()
     settings = RenderSettings(
         integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation,
-        target_mse, time_limit,
+        target_mse, time_limit, skip_dark,
     )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)
@@ -208,6 +212,7 @@ class _Rendering:
                 settings.supersample,
                 settings.integrand.emitters_active,
             )
+            self.points = self._without_dark(self.points)
         self.source = SampleSource(
             device,
             scene,
@@ -218,6 +223,15 @@ class _Rendering:
             settings.seed,
             RESIDUAL_PASS,
         )
+
+    def _without_dark(self, points: ShadingPoints) -> ShadingPoints:
+        """Points that cannot see a light are left out; all others keep their samples either way."""
+        position, *normals = (
+            points.rows(name)[:, : points.active] for name in ("position", "normal", "geometric_normal")
+        )
+        dark = self.settings.integrand.dark(self.scene, position, tuple(normals))
+        points = points.with_dark_last(dark)
+        return points.without_last(int(dark.sum())) if self.settings.skip_dark else points
 
     def run(
         self,
@@ -243,7 +257,7 @@ class _Rendering:
         first = 1 if self.prediction and variate is None else 0
         if resumed is not None:
             first = resumed.passes
-            begun.restore(resumed.states)
+            begun.restore(resumed.states, resumed.parts, first)
         plain, residual = self._finish(begun, variate, first)
         by_count = None if PRESETS[settings.preset].density else float(settings.spp)
         with self.watch("resolve"):
@@ -278,6 +292,7 @@ class _Rendering:
             self.points, rays, self.device, plain, self.before, residual,
             variate.folded.network if variate else None, self.points_done_twice,
         )  # fmt: skip
+        image.stats["skipped"] = self._skipped(variate)
         image.stats["method"] = "ncv" if variate is not None else "mc"
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
@@ -286,6 +301,16 @@ class _Rendering:
             for one in (plain, self.before)
         )
         image.metadata = metadata(self.scene, self.settings, self.device, drawn, before)
+
+    def _skipped(self, variate: ControlVariate | None) -> dict[str, object]:
+        """What the scene did not need."""
+        inputs = self.settings.integrand.inputs
+        found = skips(self.points, self.source.rays, inputs, varying_inputs(self.points, inputs))
+        if variate is not None:
+            found |= idle_neurons(variate.folded, self.points.active)
+            if variate.alpha is not None:
+                found["networks"] = int(np.count_nonzero(np.all(variate.alpha == 0, axis=0)))
+        return found
 
     # ---- the control variate -------------------------------------------------------------------------
 
@@ -298,7 +323,7 @@ class _Rendering:
         """Train (or take) the networks, fold and integrate; None where training fails twice."""
         settings, device = self.settings, self.device
         inputs = varying_inputs(self.points, settings.integrand.inputs)
-        trainer = None
+        learned = None
         if network is None:
             learned = learn(
                 device,
@@ -310,7 +335,7 @@ class _Rendering:
                 self.watch,
                 self.stop,
             )
-            network, trainer = learned.network, learned.trainer
+            network = learned.network
             # The first pass of "auto" has more samples than training.
             self.before = self.before or learned.estimate
         else:
@@ -320,19 +345,33 @@ class _Rendering:
         with self.watch("fold"):
             factor = self._factor(network.description.demodulated)
             folded = FoldedNetwork(device, network, self.points, factor)
+        alpha = self._coefficients(folded, learned)
         table = None
         if settings.uses_density or settings.allocates:
             with self.watch("density"):
                 unit = self._unit()
-                if trainer is not None:
-                    density = learn_density(device, self.points, folded, trainer, unit)
+                if learned is not None:
+                    density = learn_density(device, self.points, folded, learned.trainer, unit)
                 if density is not None:
                     table = tabulate(device, density, network, self.points, unit)
         if save_network is not None:
             network.save(save_network, **(density.arrays() if density is not None else {}))
         with self.watch("integrate"):
             integral = integrals_of(device, folded, self.points.active)
-        return ControlVariate(folded, integral, table, density)
+        return ControlVariate(folded, integral, table, density, alpha)
+
+    def _coefficients(self, folded: FoldedNetwork, learned: Learned | None) -> np.ndarray | None:
+        """Scale the network by its control coefficients where they are known, and return them."""
+        settings = self.settings
+        with self.watch("alpha"):
+            if learned is not None:
+                columns = settings.size[0] * settings.supersample
+                alpha = learn_alpha(self.points, folded, learned.trainer, columns)
+            else:
+                alpha = self.keep.resumed.alpha if self.keep.resumed is not None else None
+            if alpha is not None:
+                scale(folded, alpha)
+        return alpha
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
@@ -441,4 +480,6 @@ class _Rendering:
                 variate.folded.network if variate else None,
                 variate.learned if variate else None,
                 self.prediction.as_dict() if self.prediction else None,
+                variate.alpha if variate else None,
+                estimation.parts,
             ).save(self.keep.path)

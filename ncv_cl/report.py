@@ -55,6 +55,21 @@ def statistics(
     return found
 
 
+def skips(
+    points: ShadingPoints, rays: RayCount, inputs: tuple[str, ...], varying: tuple[str, ...]
+) -> dict[str, object]:
+    """What the scene did not need, and the seconds that rays would have taken at the others' mean."""
+    a_ray = rays.trace_seconds / max(rays.traced, 1)
+    return {
+        "background_points": points.background,
+        "points_without_light": points.dark,
+        "points_on_lights": points.total - points.active - points.dark,
+        "rays": rays.skipped,
+        "ray_seconds": rays.skipped * a_ray,
+        "inputs": [name for name in inputs if name not in varying],
+    }
+
+
 def identity(
     scene: Scene, settings: RenderSettings, device: Device, given_network: bool
 ) -> dict[str, object]:
@@ -74,6 +89,7 @@ def identity(
         "preset": settings.preset,
         "density": settings.density,
         "allocation": settings.allocation,
+        "skip_dark": settings.skip_dark,
         "network": "given" if given_network else "trained",
         "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
     }

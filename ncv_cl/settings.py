@@ -53,6 +53,7 @@ class RenderSettings:
     allocation: str | None = None
     target_mse: float | None = None
     time_limit: float | None = None
+    skip_dark: bool = True
 
     def __post_init__(self) -> None:
         self._check_estimator()

@@ -51,6 +51,9 @@ class TrainSettings:
         Step size of the hash grid's table as a multiple of the network's.
     table_beta2 : float
         Weight of the past in the second moment of a table entry.
+    table_adam : bool
+        Whether the table is stepped as the network is, by both moments of every feature, instead of by
+        one second moment an entry.
     average_decay : float
         Weight of the past in the moving average of the network's parameters, which is what is used.
     weight_power : float
@@ -67,6 +70,7 @@ class TrainSettings:
     epsilon: float = 1e-8
     table_rate: float = 5.0
     table_beta2: float = 0.9
+    table_adam: bool = False
     average_decay: float = 0.99
     weight_power: float = 0.5
 
@@ -152,7 +156,8 @@ class Trainer:
 
         self._layout = PaddedLayout(description, device.vector_width)
         self._parameters = _Averaged(device, self._layout.pack(network.parameters))
-        self._table = TouchedTable(device, network.table, self._index.touched)
+        moments = 2 * description.encoding.grid_features if settings.table_adam else 2
+        self._table = TouchedTable(device, network.table, self._index.touched, moments)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
         tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
@@ -348,6 +353,7 @@ class Trainer:
             "ADAM_BETA1": f"{settings.beta1!r}f",
             "ADAM_BETA2": f"{settings.beta2!r}f",
             "TABLE_BETA2": f"{settings.table_beta2!r}f",
+            "TABLE_ADAM": int(settings.table_adam),
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
             "NO_RAY": f"{NO_RAY}u",
         }

@@ -12,6 +12,9 @@ from .device import Device, HostArray
 from .integrator import Integrator
 from .network import FoldedNetwork
 
+# Points whose neurons the statistics look at.
+POINTS_LOOKED_AT = 4096
+
 
 @dataclass(frozen=True)
 class ControlVariate:
@@ -26,12 +29,41 @@ class ControlVariate:
         Where the residual is.
     learned : DensityNetwork, optional
         What predicts it.
+    alpha : ndarray, optional
+        float32 (channels, points), the control coefficients that are folded in; None: 1 everywhere.
     """
 
     folded: FoldedNetwork
     integral: np.ndarray
     density: Density | None
     learned: DensityNetwork | None
+    alpha: np.ndarray | None = None
+
+
+def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
+    """How many first-layer neurons need no line in the square: shares over some of the points.
+
+    Returns
+    -------
+    dict
+        ``lines``: share of neurons whose line misses the square, which integration does not insert;
+        ``dead_neurons``: share that is zero in the whole square; ``dead_in_image``: neurons that are
+        so at every point looked at.
+    """
+    chosen = np.linspace(0, points, min(points, POINTS_LOOKED_AT), endpoint=False).astype(int)
+    weights, biases = (
+        folded.groups[name].read()[chosen] if name in folded.network.description.modulated
+        else np.broadcast_to(folded.groups[name].read(), (len(chosen), *folded.groups[name].shape))
+        for name in ("W1", "B1")
+    )  # fmt: skip
+    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
+    values = np.einsum("pji,ki->pjk", weights, corners) + biases[..., None]
+    dead = np.all(values <= 0, axis=2)
+    return {
+        "lines": float(np.mean(dead | np.all(values >= 0, axis=2))),
+        "dead_neurons": float(np.mean(dead)),
+        "dead_in_image": int(np.count_nonzero(dead.all(axis=0))),
+    }
 
 
 def integrals_of(device: Device, folded: FoldedNetwork, points: int) -> np.ndarray:

@@ -28,7 +28,7 @@ ORDER = (
     "probe",
     "choose",
     "train integrator estimate",
-    "allocate calibrate density integrate presets resolve",
+    "allocate alpha calibrate density integrate presets resolve",
     "settings subdivide",
     "auto checkpoint learn passes report",
     "estimation variate",
@@ -39,9 +39,10 @@ ORDER = (
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
-    "train": {"density", "learn", "presets"},
+    "train": {"alpha", "density", "learn", "presets"},
     "density": {"checkpoint", "custom", "estimation", "learn", "render", "variate"},
     "learn": {"custom", "render"},
+    "alpha": {"learn", "render"},
     "auto": {"render"},
     "passes": {"custom", "estimation", "render"},
     "estimation": {"custom", "render"},

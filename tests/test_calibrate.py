@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.calibrate import LOCAL_RADIUS, calibrate, local_mean, points_done_twice
+from ncv_cl.calibrate import (
+    LOCAL_RADIUS,
+    OWN_SHARE,
+    calibrate,
+    halves,
+    local_mean,
+    points_done_twice,
+    steadied,
+)
 from ncv_cl.estimate import Estimate
 
 
@@ -47,7 +55,10 @@ def test_errors_over_predicted_deviations_have_unit_variance(points, choices, ha
     for seed in range(20):
         truth, (first, second), prior = two_estimates(points, generator, stratification, choices)
         twice = points_done_twice(points, seed)
-        found = calibrate(first, second, twice, prior if has_prior else None)
+        expected, again = (
+            steadied(one, prior if has_prior else None) / one.samples for one in (first, second)
+        )
+        found = calibrate(first, second, twice, expected, again[:, twice])
         errors = (found.mean - truth) / np.sqrt(found.variance_of_mean)
         standardised.append(np.mean(errors**2))
         # Points done twice are known better, and know it.
@@ -63,7 +74,8 @@ def test_points_without_variance_stay_without():
     mean, variance = np.full((1, 40), 0.3), np.zeros((1, 40))
     variance[:, 20:] = 1.0
     estimate = Estimate(mean, variance, np.full(40, 8.0))
-    found = calibrate(estimate, estimate, np.arange(0, 40, 4))
+    twice = np.arange(0, 40, 4)
+    found = calibrate(estimate, estimate, twice, variance / 8, variance[:, twice] / 8)
     assert not found.variance_of_mean[:, :20].any() and (found.variance_of_mean < 1e-9).all()
     np.testing.assert_array_equal(found.mean, mean)
 
@@ -78,3 +90,19 @@ def test_local_means_are_those_of_the_neighbours_that_exist():
     for point in range(40):
         near = (abs(row - row[point]) <= LOCAL_RADIUS) & (abs(column - column[point]) <= LOCAL_RADIUS)
         assert found[point] == pytest.approx(values[near].mean())
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_parts_of_the_samples_say_where_the_error_is(share):
+    """Where errors fall faster than samples do, all the same, up to one factor for all points."""
+    generator = np.random.default_rng(3)
+    rows = columns = 64
+    cell = np.arange(rows * columns)
+    deviation = 10.0 ** (cell // columns / 32 - 2)[None]
+    part, rest = (generator.normal(0, deviation / s**0.75) for s in (share, 1 - share))
+    found = halves(share * part + (1 - share) * rest, part, cell, columns, rows)
+    ratio = (found / deviation**2).reshape(8, -1).mean(axis=1)
+    # Means over neighbours smooth a slope of tenfold in 32 rows.
+    assert ratio.max() / ratio.min() < 1.5
+    own = np.corrcoef(found.ravel(), ((1 - share) * (part - rest)).ravel() ** 2)[0, 1]
+    assert own > OWN_SHARE

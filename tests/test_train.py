@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import network_reference as reference
 import numpy as np
 import pytest
@@ -125,6 +127,35 @@ def unscale(description, parameters, group, factor):
         heads[rows : rows + count] /= factor
     else:
         bases[rows - len(heads) : rows - len(heads) + count] /= factor
+
+
+def test_the_table_takes_adams_steps_where_it_is_asked_to(device, scenes):
+    rate = 0.02
+    # The network itself stays where it is.
+    settings = TrainSettings(
+        batch=1 << 20, samples_a_step=3, rate=1e-12, final_rate=1e-12, table_rate=rate * 1e12,
+        table_adam=True, weight_power=1.0,
+    )  # fmt: skip
+    options = {"inputs": ("position",), "grid_entries": 256, "grid_features": 2}
+    tables, gradients, picks = [], [], None
+    for passes in range(1, 4):
+        trainer, network, *data = prepare(device, scenes, replace(settings, passes=passes), **options)
+        trainer.fit()
+        tables.append(trainer.network().table)
+    for before in (network.table, *tables[:-1]):
+        if picks is None:
+            picks = np.argsort(-np.abs(tables[0] - before).ravel())[[0, 50, 200]]
+        gradients.append(
+            [central_difference(lambda t: loss(network, *data, None, t), before, i) for i in picks]
+        )
+    value = network.table.ravel()[picks].astype(float)
+    first, second = np.zeros(len(picks)), np.zeros(len(picks))
+    for step, (gradient, table) in enumerate(zip(np.array(gradients), tables, strict=True), 1):
+        first = settings.beta1 * first + (1 - settings.beta1) * gradient
+        second = settings.beta2 * second + (1 - settings.beta2) * gradient**2
+        corrected = first / (1 - settings.beta1**step), second / (1 - settings.beta2**step)
+        value -= rate * corrected[0] / (np.sqrt(corrected[1]) + settings.epsilon)
+        np.testing.assert_allclose(table.ravel()[picks], value, atol=2e-3 * rate)
 
 
 def test_untouched_grid_entries_keep_their_value(one_device, scenes):

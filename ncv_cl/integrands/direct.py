@@ -45,6 +45,23 @@ class DirectLight(Integrand):
             "HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials)),
         }
 
+    def dark(self, scene: Scene, position: np.ndarray, normals: tuple[np.ndarray, ...]) -> np.ndarray:
+        # Cosines times distances are affine on a light, so their signs at its corners decide. They are
+        # taken as n.y - n.x: four numbers a light instead of four vectors a point.
+        position = position.astype(np.float64)
+        heights = [(normal * position).sum(axis=0) for normal in normals]
+        dark = np.ones(position.shape[1], bool)
+        for light in scene.lights:
+            corners = _corners(light)
+            below = np.zeros_like(dark)
+            for normal, height in zip(normals, heights, strict=True):
+                below |= (corners @ normal.astype(np.float64)).max(axis=0) <= height
+            if not light.two_sided:
+                side = np.asarray(light.normal, np.float64)
+                below |= side @ position <= side @ np.asarray(light.corner, np.float64)
+            dark &= below
+        return dark
+
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         radiance = np.array([one.radiance for one in scene.lights], np.float32)
         normals = np.array([one.normal for one in scene.lights], np.float32)
@@ -67,6 +84,12 @@ def strip_widths(lights: tuple[QuadLight, ...]) -> np.ndarray:
     # Lights that are switched off keep a sliver, so that every strip has a width to divide by.
     power = np.maximum(power, 1e-6 * max(power.max(), 1e-30))
     return power / power.sum()
+
+
+def _corners(light: QuadLight) -> np.ndarray:
+    """float64 (4, 3)."""
+    corner, edge1, edge2 = (np.asarray(a, np.float64) for a in (light.corner, light.edge1, light.edge2))
+    return np.stack([corner, corner + edge1, corner + edge2, corner + edge1 + edge2])
 
 
 def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
