@@ -20,7 +20,7 @@ INFERENCE_SAMPLES_A_POINT = 150.0
 # on the shipped scenes.
 SAMPLE_COST = 1.4
 # By how much the variance falls where all points are alike, as for the shipped scenes' ambient
-# occlusion; allocation brings the rest. All were set on the scenes that bench_error.py reports.
+# occlusion; allocation brings the rest. All were set on the scenes that bench_curves.py reports.
 DENSITY_GAIN = 1.6
 # Errors of Sobol points fall as samples to this power, so samples as variance to its inverse.
 VARIANCE_EXPONENT = 1.5

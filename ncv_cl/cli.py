@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import signal
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,9 @@ from .scene import load_scene
 from .settings import ALLOCATIONS, DENSITIES, METHODS
 from .subdivide import draw_subdivision, subdivide
 
+# Beside the package in a checkout and in an editable install.
+_BENCH = Path(__file__).parent.parent / "bench"
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit status (2 for bad input)."""
@@ -51,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_integrate(commands)
     listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they infer")
     listing.set_defaults(command=_devices)
+    _add_bench(commands)
     return parser
 
 
@@ -152,6 +157,30 @@ def _read_layers(path: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
     if not layers:
         raise ValueError(f"{path} does not hold {_LAYERS_HELP}: there is no weights0")
     return weights, biases
+
+
+def _add_bench(commands: argparse._SubParsersAction) -> None:
+    parser = commands.add_parser("bench", help="measure run time against error and write a report")
+    add = parser.add_argument
+    add("parts", nargs="*", metavar="PART", help="curves, planar, mitsuba, ...; default: all of them")
+    add("--quick", action="store_true", help="all at reduced size, in less than ten minutes")
+    add("--out", metavar="DIR", help="where results and report go (default: bench-report)")
+    add("--device", metavar="D", help="as for render")
+    parser.set_defaults(command=_bench)
+
+
+def _bench(options: argparse.Namespace) -> int:
+    script = _BENCH / "run_all.py"
+    if not script.is_file():
+        raise ValueError(
+            "the benchmarks are not part of the installed package; run this from a checkout, after "
+            'pip install -e ".[pocl,bench]"'
+        )
+    command = [sys.executable, str(script), *options.parts]
+    command += ["--quick"] if options.quick else []
+    command += ["--out", options.out] if options.out else []
+    command += ["--device", options.device] if options.device else []
+    return subprocess.call(command)
 
 
 def _subdivide(options: argparse.Namespace) -> int:

@@ -238,3 +238,18 @@ def test_a_network_of_other_inputs_is_refused(cli):
     assert cli("-o", "first.exr", "--save-network", "network.npz")[0] == 0
     status, _, err = cli("-o", "a.exr", "--network", "network.npz", scene="plane_light")
     assert status == 2 and "position, normal, albedo" in err and not Path("a.exr").exists()
+
+
+def test_bench_runs_a_checkouts_benchmarks(tmp_path, capfd):
+    pytest.importorskip("matplotlib", reason="the report needs matplotlib")
+    pytest.importorskip("jinja2", reason="the report needs jinja2")
+    assert main(["bench", "report", "--out", str(tmp_path / "out")]) == 0
+    assert {"report.html", "report.md"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert main(["bench", "nothing"]) == 2
+    assert "no part 'nothing'" in capfd.readouterr().err
+
+
+def test_bench_of_an_installed_wheel_points_to_a_checkout(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("ncv_cl.cli._BENCH", tmp_path)
+    assert main(["bench", "--quick"]) == 2
+    assert "checkout" in capsys.readouterr().err

@@ -1,0 +1,162 @@
+"""Picture strips at equal time: reference, plain Monte Carlo, control variate, and where each errs.
+
+The control variate renders with a number of samples; Sobol Monte Carlo gets as many as fit into the
+same seconds, found from the cost of a shorter render. Beside the pictures: absolute errors, and the
+FLIP map (Andersson et al. 2020) where OpenImageIO has it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import OpenImageIO as oiio
+from bench_curves import DEFAULT, FULL, METHODS, SOBOL, cases_of
+from references import reference
+from training import SCENES
+
+import ncv_cl as ncv
+from ncv_cl.choose import choose_device
+from ncv_cl.device import Device
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
+# What a picture's brightest error is mapped to: this percentile of plain Monte Carlo's errors.
+PERCENTILE = 99.5
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points a side, samples of the control variate, samples of the reference."""
+
+    size: int
+    spp: int
+    reference_spp: int
+
+
+# The full run shares the references of the curves.
+PLANS = {False: Plan(FULL.size, 1024, FULL.reference_spp), True: Plan(96, 16, 2048)}
+
+
+def run(quick: bool, folder: Path, device: Device | None = None) -> dict:
+    """Render the strips into `folder`; returns what --json writes."""
+    device, plan = device or choose_device(), PLANS[quick]
+    rows = []
+    for scene, integrand in cases_of(quick):
+        row: dict[str, object] = {"scene": scene, "integrand": integrand}
+        try:
+            row |= _strip(device, scene, integrand, plan, folder)
+        except RuntimeError as error:
+            row["failed"] = str(error)
+        print({key: value for key, value in row.items() if key != "methods"}, flush=True)
+        rows.append(row)
+    return {"device": device.identity, "size": plan.size, "flip": has_flip(), "cases": rows}
+
+
+def _strip(device: Device, name: str, integrand: str, plan: Plan, folder: Path) -> dict:
+    scene = ncv.load_scene(SCENES / f"{name}.toml")
+    truth = reference(device, scene, integrand, plan.size, plan.reference_spp)
+
+    def render(method: str, spp: int) -> ncv.Image:
+        size = (plan.size, plan.size)
+        options = METHODS[method]
+        return ncv.render(scene, integrand, spp=spp, size=size, seed=3, device=device, **options)
+
+    # The first renders compile kernels; costs come from the second ones.
+    render(DEFAULT, plan.spp)
+    ours = render(DEFAULT, plan.spp)
+    render(SOBOL, plan.spp)
+    few, many = render(SOBOL, plan.spp), render(SOBOL, 4 * plan.spp)
+    budget = ours.stats["seconds"]["total"]
+    cost = (many.stats["seconds"]["total"] - few.stats["seconds"]["total"]) / (3 * plan.spp)
+    spare = max(0.0, budget - few.stats["seconds"]["total"])
+    affordable = plan.spp + round(spare / cost) if cost > 0 else 4 * plan.spp
+    plain = render(SOBOL, max(1, affordable))
+    rows = {}
+    for method, image in ((SOBOL, plain), (DEFAULT, ours)):
+        mse, relmse = truth.errors(image.pixels)
+        flip = flip_map(truth.pixels, image.pixels)
+        rows[method] = {
+            "samples": image.stats["samples_per_point"],
+            "seconds": image.stats["seconds"]["total"],
+            "mse": mse,
+            "relmse": relmse,
+            "flip": None if flip is None else float(flip.mean()),
+        }
+    file = folder / f"pictures_{name}_{integrand}.png"
+    draw(file, truth.pixels, {SOBOL: plain.pixels, DEFAULT: ours.pixels}, rows)
+    return {"picture": file.name, "methods": rows}
+
+
+def has_flip() -> bool:
+    """Whether this OpenImageIO compares images by FLIP."""
+    return hasattr(oiio.ImageBufAlgo, "FLIP_diff")
+
+
+def flip_map(reference: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
+    """FLIP of linear RGB clamped to [0, 1]: (height, width), or None where OpenImageIO lacks it."""
+    if not has_flip():
+        return None
+    first, second = (
+        oiio.ImageBuf(np.ascontiguousarray(np.clip(one, 0, 1), dtype=np.float32))
+        for one in (reference, pixels)
+    )
+    found = oiio.ImageBufAlgo.FLIP_diff(first, second, hdr=0)
+    if found.has_error:
+        raise RuntimeError(f"FLIP failed: {found.geterror()}")
+    return found.get_pixels(oiio.FLOAT)[:, :, 0]
+
+
+def draw(file: Path, truth: np.ndarray, images: dict[str, np.ndarray], rows: dict[str, dict]) -> None:
+    """One row of panels: the reference, the images, their errors and FLIP maps on common scales."""
+    errors = {name: np.abs(pixels - truth).mean(axis=2) for name, pixels in images.items()}
+    flips = {name: flip_map(truth, pixels) for name, pixels in images.items()}
+    panels: list[tuple[str, np.ndarray, dict]] = [("reference", shown(truth), {})]
+    for name, pixels in images.items():
+        row = rows[name]
+        title = f"{name}\n{row['samples']:.0f} samples, {row['seconds']:.2f} s"
+        panels.append((title, shown(pixels), {}))
+    for what, maps in (("error", errors), ("FLIP", flips)):
+        if any(one is None for one in maps.values()):
+            continue
+        top = max(float(np.percentile(maps[SOBOL], PERCENTILE)), 1e-12)
+        for name, one in maps.items():
+            title = f"{what} of {name}\nmean {one.mean():.2e}, white {top:.1e}"
+            panels.append((title, one, {"cmap": "magma", "vmin": 0, "vmax": top}))
+    figure, axes = pyplot.subplots(1, len(panels), figsize=(2.2 * len(panels), 2.6))
+    for axis, (title, image, options) in zip(axes, panels, strict=True):
+        axis.imshow(image, interpolation="nearest", **options)
+        axis.set_title(title, fontsize=6)
+        axis.axis("off")
+    figure.tight_layout(pad=0.3)
+    figure.savefig(file, dpi=120, bbox_inches="tight", pad_inches=0.05)
+    pyplot.close(figure)
+
+
+def shown(pixels: np.ndarray) -> np.ndarray:
+    """Linear RGB as a screen shows it: clamped, with sRGB's curve (IEC 61966-2-1)."""
+    clamped = np.clip(pixels, 0, 1)
+    return np.where(clamped <= 0.0031308, 12.92 * clamped, 1.055 * clamped ** (1 / 2.4) - 0.055)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small images, few samples")
+    parser.add_argument("--json", metavar="FILE", help="write the results here, pictures beside it")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args()
+    folder = Path(options.json).parent if options.json else Path()
+    results = run(options.quick, folder, choose_device(options.device))
+    if options.json:
+        Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    return 1 if any("failed" in case for case in results["cases"]) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
