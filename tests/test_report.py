@@ -169,7 +169,7 @@ def test_report_has_every_section_and_names_what_is_missing(built):
 def test_report_is_one_file_and_says_how_to_make_its_figures_again(built):
     results, html, text = built
     figures = re.findall(r"!\[.*\]\((.*)\)", text)
-    assert len(figures) == 5 and all((results / name).stat().st_size > 1000 for name in figures)
+    assert len(figures) == 6 and all((results / name).stat().st_size > 1000 for name in figures)
     assert html.count("data:image/png;base64,") == len(figures) and "http" not in html
     assert text.count("`ncv-cl bench curves`") == len(figures)
 
