@@ -56,7 +56,7 @@ FEWEST_FOR_AUTO = 16
 # Stages of a render, by what the slides' table calls them; what is in no stage is "other".
 STAGES = {
     "render": ("scene", "points", "sample", "trace", "resolve"),
-    "train": ("train", "density"),
+    "train": ("train", "alpha", "density"),
     "integration": ("fold", "integrate"),
     "inference": ("estimate",),
 }

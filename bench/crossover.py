@@ -2,7 +2,8 @@
 
 A curve is one method's measured points in the order of their samples. Error is interpolated in
 logarithms of error and samples, seconds linearly in samples: a render takes fixed seconds and a cost
-per sample. A point that is worse than one with fewer samples is noise and is left out.
+per sample. A point that is worse than one with fewer samples, or slower than one with more, is noise and
+is left out.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Curve:
 
     @classmethod
     def of(cls, points: list[dict]) -> Curve:
-        """From rows with `spp`, `seconds`, `mse`, `stages`; points no better than one before them go.
+        """From rows with `spp`, `seconds`, `mse` and `stages`, less those that others outdo.
 
         Raises
         ------
@@ -60,7 +61,9 @@ class Curve:
                 kept.append(row)
         if not kept:
             raise ValueError("a curve needs a point with a positive error")
-        return cls(*np.array(kept, dtype=np.float64).T)
+        found = np.array(kept, dtype=np.float64)
+        soonest = np.minimum.accumulate(found[::-1, 1])[::-1]
+        return cls(*found[found[:, 1] <= soonest].T)
 
     def samples_to(self, error: float | np.ndarray) -> np.ndarray:
         """Samples that reach an error; beyond the last point along the last two points' line."""

@@ -78,9 +78,9 @@ def test_without_a_crossing_it_says_on_which_side_all_is(ours, status):
     assert (found.predicted is None) == (status == "never")
 
 
-def test_a_point_worse_than_one_before_it_is_left_out():
-    worse = [{**PLAIN[2], "mse": 1.0}]
-    curve = Curve.of([*PLAIN[:2], *worse, *PLAIN[3:]])
+@pytest.mark.parametrize("outdone", [{"mse": 1.0}, {"seconds": 3.0}])
+def test_a_point_that_others_outdo_is_left_out(outdone):
+    curve = Curve.of([*PLAIN[:2], {**PLAIN[2], **outdone}, *PLAIN[3:]])
     assert curve.samples.tolist() == [4, 16, 256, 1024, 4096]
     assert curve.seconds_to(1 / 64) == pytest.approx(0.64)
 
@@ -169,7 +169,7 @@ def test_report_has_every_section_and_names_what_is_missing(built):
 def test_report_is_one_file_and_says_how_to_make_its_figures_again(built):
     results, html, text = built
     figures = re.findall(r"!\[.*\]\((.*)\)", text)
-    assert len(figures) == 5 and all((results / name).stat().st_size > 1000 for name in figures)
+    assert len(figures) == 6 and all((results / name).stat().st_size > 1000 for name in figures)
     assert html.count("data:image/png;base64,") == len(figures) and "http" not in html
     assert text.count("`ncv-cl bench curves`") == len(figures)
 

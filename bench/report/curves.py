@@ -24,6 +24,7 @@ PLOTS = (
     ("seconds", "mse", "error_against_time", "Mean square error against total seconds."),
     ("samples", "mse", "error_against_samples", "Mean square error against samples, training's too."),
     ("seconds", "relmse", "relative_error_against_time", "relMSE against total seconds."),
+    ("samples", "relmse", "relative_error_against_samples", "relMSE against samples, training's too."),
 )
 # A reference with more than this share of the least measured error is called coarse.
 COARSE = 0.25
