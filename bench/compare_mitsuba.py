@@ -143,8 +143,8 @@ def agreement(
         return _skip(row, str(error))
     small, nested = quick or not theirs.llvm, integrand == "gi"
     size = size or ((32, 32) if small else (64, 64) if nested else (96, 96))
-    spp = spp or (32 if small or nested else 128)
-    batches = batches or (6 if quick else 16)
+    spp = spp or (32 if small or nested else 64)
+    batches = batches or (6 if quick else 8)
     method = {"direct": DIRECT, "ao": SKY, "gi": PATH}[integrand]
     other = np.stack([theirs.radiance(method, size, supersample, spp, seed) for seed in range(batches)])
     ours = np.stack([_our_image(scene, own, size, supersample, spp, s, device) for s in range(batches)])
