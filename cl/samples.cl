@@ -9,6 +9,9 @@
  * consecutive slots from `ray_count`; which slot a sample gets may differ between runs, but each sample
  * finds its own ray's answer through `slot`, so results do not.
  *
+ * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
+ * or SEEN. The second word of `ray_count` counts them.
+ *
  * With WARPED (warp.cl joined before) each point's samples follow its record in `density`, and `weight` takes one
  * over the density at each sample, by which its value counts.
  *
@@ -23,6 +26,10 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const float *restrict integrand_data,
 #if WARPED
                          global const float *restrict density, global float *restrict weight,
+#endif
+#if SHAFTS
+                         const uint corner_stride, global const uint *restrict occluders,
+                         global const float *restrict corners,
 #endif
                          global float *restrict u, global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
@@ -65,8 +72,18 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   STORE(live, is_live);
   uint count = 0;
   for (uint lane = 0; lane < VEC; ++lane) count += is_live[lane] != 0 ? 1u : 0u;
-  uint next = count > 0 ? atomic_add(ray_count, count) : 0u;
   const float3 origin = ray_origin(&p);
+#if SHAFTS
+  global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
+  const uint occluder_count = own_occluders[0];
+  if (occluder_count != TOO_MANY) {
+    const whole seen = live && !blocked_by(own_occluders, occluder_count, corners, corner_stride, origin, direction);
+    STORE(SELECT((bits)NO_RAY, (bits)SEEN, seen), slot + at);
+    if (count > 0) atomic_add(ray_count + 1, count);
+    return;
+  }
+#endif
+  uint next = count > 0 ? atomic_add(ray_count, count) : 0u;
   for (uint lane = 0; lane < VEC; ++lane) {
     uint own = NO_RAY;
     if (is_live[lane] != 0) {

@@ -27,7 +27,7 @@ from .render import render
 from .report import package_version
 from .sampler import SAMPLERS
 from .scene import load_scene
-from .settings import ALLOCATIONS, DENSITIES, METHODS
+from .settings import ALLOCATIONS, DENSITIES, METHODS, VISIBILITIES
 from .subdivide import draw_subdivision, subdivide
 
 # Beside the package in a checkout and in an editable install.
@@ -93,6 +93,12 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         dest="skip_dark",
         action="store_false",
         help="compute also the zeros of points that face away from every light",
+    )
+    add(
+        "--visibility",
+        choices=VISIBILITIES,
+        default="auto",
+        help="test shadow rays that few triangles can block on the device, or none",
     )
     add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
     add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
@@ -278,6 +284,7 @@ def _render(options: argparse.Namespace) -> int:
         target_mse=options.target_mse,
         time_limit=options.time_limit,
         skip_dark=options.skip_dark,
+        visibility=options.visibility,
         network=options.network,
         save_network=options.save_network,
         checkpoint=options.checkpoint,
@@ -306,7 +313,8 @@ def _summary(stats: dict) -> str:
     lines += [
         f"{stats['points']} shading points ({stats['points_skipped']} skipped), "
         f"{stats['samples_per_point']:.4g} samples each on average, "
-        f"{stats['rays_traced']} rays traced ({stats['rays_skipped']} skipped)"
+        f"{stats['rays_traced']} rays traced "
+        f"({stats['rays_on_device']} on the device, {stats['rays_skipped']} skipped)"
     ]
     skipped = stats["skipped"]
     lines.append(

@@ -24,7 +24,7 @@ from .presets import PRESETS
 from .program import build
 from .resolve import combine, estimate_of
 from .sampler import sampler_defines, seed_words
-from .samples import DENSITY_BINS, NO_RAY, Batch, Batches
+from .samples import DENSITY_BINS, Batch, Batches, ray_defines
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
 from .variate import ControlVariate, integrals_of
@@ -73,7 +73,7 @@ class CallableSource(Batches):
         self._defines = {
             **sampler_defines(sampler),
             "DENSITY_BINS": DENSITY_BINS,
-            "NO_RAY": f"{NO_RAY}u",
+            **ray_defines(),
         }
         with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
             slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1

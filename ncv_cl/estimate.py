@@ -10,7 +10,7 @@ from .device import GROUP_SIZE, Device, HostArray
 from .network import FoldedNetwork
 from .points import ShadingPoints
 from .program import build
-from .samples import NO_RAY, Batch
+from .samples import Batch, ray_defines
 
 STATE_FLOATS = 3
 
@@ -79,7 +79,7 @@ class Estimator:
             "WITH_NETWORK": int(network is not None),
             "STATE_FLOATS": STATE_FLOATS,
             "GROUP_POINTS": self._group_points,
-            "NO_RAY": f"{NO_RAY}u",
+            **ray_defines(),
         }
         files: tuple[str, ...] = ("common", "batch", "estimate")
         if network is not None:

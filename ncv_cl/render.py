@@ -33,6 +33,7 @@ from .sampler import Stream
 from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
+from .shaft import Occluders
 from .trace import Tracer
 from .variate import ControlVariate, idle_neurons, integrals_of
 
@@ -58,6 +59,7 @@ def render(
     target_mse: float | None = None,
     time_limit: float | None = None,
     skip_dark: bool = True,
+    visibility: str = "auto",
     network: Network | str | Path | None = None,
     save_network: str | Path | None = None,
     checkpoint: str | Path | None = None,
@@ -107,6 +109,9 @@ def render(
         pass that would outlast so many seconds; `spp` is then the most that is drawn.
     skip_dark : bool
         Leave out points that face away from every light. False computes their zeros, to compare.
+    visibility : {"auto", "embree"}
+        Points between which and the lights few triangles can stand test their shadow rays against these
+        on the device, or leave all to embree. Pixels differ only where a ray grazes an edge.
     network : Network, str or Path, optional
         A trained network, or its file, to use instead of training one ("ncv"). Only a file holds the
         density as well. Control coefficients belong to the image they were found for, and are 1 here.
@@ -149,7 +154,7 @@ def render(
         integrand = INTEGRANDS[integrand]()
     settings = RenderSettings(
         integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation,
-        target_mse, time_limit, skip_dark,
+        target_mse, time_limit, skip_dark, visibility,
     )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
     integrand.data(scene)
@@ -213,6 +218,10 @@ class _Rendering:
                 settings.integrand.emitters_active,
             )
             self.points = self._without_dark(self.points)
+        occluders = None
+        if settings.integrand.to_lights and settings.visibility == "auto" and self.points.active:
+            with self.watch("shafts"):
+                occluders = Occluders(device, scene, self.points, settings.integrand)
         self.source = SampleSource(
             device,
             scene,
@@ -222,6 +231,7 @@ class _Rendering:
             settings.sampler,
             settings.seed,
             RESIDUAL_PASS,
+            occluders,
         )
 
     def _without_dark(self, points: ShadingPoints) -> ShadingPoints:

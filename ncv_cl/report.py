@@ -36,6 +36,7 @@ def statistics(
     trained = float(training.samples.mean()) if training else 0.0
     found: dict[str, object] = {
         "rays_traced": rays.traced,
+        "rays_on_device": rays.on_device,
         "rays_skipped": rays.skipped,
         "points": points.active,
         "points_skipped": points.background + points.total - points.active,
@@ -90,6 +91,7 @@ def identity(
         "density": settings.density,
         "allocation": settings.allocation,
         "skip_dark": settings.skip_dark,
+        "visibility": settings.visibility,
         "network": "given" if given_network else "trained",
         "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
     }

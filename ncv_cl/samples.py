@@ -13,9 +13,12 @@ from .points import ShadingPoints, surface_defines
 from .program import build
 from .sampler import Stream, sampler_defines, seed_words
 from .scene import Scene
+from .shaft import Occluders
 from .trace import Tracer
 
+# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
 NO_RAY = 0xFFFFFFFF
+SEEN = 0xFFFFFFFE
 # Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
@@ -28,6 +31,11 @@ DENSITY_FLOATS = (DENSITY_BINS + 1) ** 2
 MEAN_SAMPLES = 64
 
 
+def ray_defines() -> dict[str, str]:
+    """The `-D` constants of batch.cl and samples.cl."""
+    return {"NO_RAY": f"{NO_RAY}u", "SEEN": f"{SEEN}u"}
+
+
 @dataclass
 class RayCount:
     """How many rays were traced, how many were not worth tracing, and seconds.
@@ -35,12 +43,15 @@ class RayCount:
     Attributes
     ----------
     traced, skipped : int
+    on_device : int
+        Answered by testing a point's few occluders.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
 
     traced: int = 0
     skipped: int = 0
+    on_device: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
 
@@ -136,6 +147,8 @@ class SampleSource(Batches):
     seed : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
+    occluders : Occluders, optional
+        What decides visibility where it is known; by default embree decides all.
     """
 
     def __init__(
@@ -148,6 +161,7 @@ class SampleSource(Batches):
         sampler: str,
         seed: int,
         samples_per_point: int,
+        occluders: Occluders | None = None,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
         self.rays = RayCount()
@@ -158,20 +172,27 @@ class SampleSource(Batches):
             **surface_defines(),
             **sampler_defines(sampler),
             **integrand.defines(scene),
-            "NO_RAY": f"{NO_RAY}u",
+            **ray_defines(),
+            "SHAFTS": int(occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
             "WARPED": 0,
         }
-        files = ("common", "sampler", "surface", *integrand.files, "samples")
+        shaft: tuple[str, ...] = ()
+        self.occluders = occluders
+        self._occluders: list[object] = []
+        if occluders is not None:
+            shaft, defines = ("shaft",), {**defines, **occluders.defines()}
+            self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+        files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
-        self._warped_files = ("common", "sampler", "surface", *integrand.files, "warp", "samples")
+        self._warped_files = (*files[:-1], "warp", "samples")
         self._warped_defines = {**defines, "WARPED": 1, "DENSITY_BINS": DENSITY_BINS}
         capacity = self._capacity
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
         self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 1, np.uint32)
+        self._ray_count = HostArray(device, 2, np.uint32)
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
@@ -226,6 +247,7 @@ class SampleSource(Batches):
             self.points.surface,
             self._data,
             *warp,
+            *self._occluders,
             self._u,
             self._v,
             self._value,
@@ -235,7 +257,7 @@ class SampleSource(Batches):
             self._distances,
             self._ray_count,
         )
-        rays = int(self._ray_count.read()[0])
+        rays, on_device = self._ray_count.read().tolist()
         started = time.perf_counter()
         with (
             self._origins.mapped(count=rays) as origins,
@@ -248,6 +270,7 @@ class SampleSource(Batches):
         self.rays.trace_seconds += ended - started
         self.rays.sample_seconds += started - begun
         self.rays.traced += rays
-        self.rays.skipped += len(points) * count - rays
+        self.rays.on_device += on_device
+        self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, *warp[1:])

@@ -17,6 +17,7 @@ from .sampler import SAMPLERS
 
 METHODS = ("auto", "ncv", "mc")
 DENSITIES = ("table", "none")
+VISIBILITIES = ("auto", "embree")
 ALLOCATIONS = ("magnitude", "pilot", "uniform")
 
 
@@ -54,6 +55,7 @@ class RenderSettings:
     target_mse: float | None = None
     time_limit: float | None = None
     skip_dark: bool = True
+    visibility: str = "auto"
 
     def __post_init__(self) -> None:
         self._check_estimator()
@@ -61,6 +63,10 @@ class RenderSettings:
             raise ValueError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
         if self.sampler not in SAMPLERS:
             raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
+        if self.visibility not in VISIBILITIES:
+            raise ValueError(
+                f"visibility must be one of {', '.join(VISIBILITIES)}, got {self.visibility!r}"
+            )
         if self.preset not in PRESETS:
             raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
         counts = {

@@ -13,7 +13,7 @@ from .encode import Encoder, GridIndex, TouchedTable
 from .network import Network, PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
-from .samples import NO_RAY, Batch
+from .samples import Batch, ray_defines
 
 # Bytes of local memory that the gradient kernel may use; every GPU has this much.
 LOCAL_BYTES = 48 << 10
@@ -355,7 +355,7 @@ class Trainer:
             "TABLE_BETA2": f"{settings.table_beta2!r}f",
             "TABLE_ADAM": int(settings.table_adam),
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
-            "NO_RAY": f"{NO_RAY}u",
+            **ray_defines(),
         }
         return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)
 

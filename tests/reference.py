@@ -12,8 +12,9 @@ from ncv_cl.integrands import Integrand
 from ncv_cl.points import ShadingPoints, find_points
 from ncv_cl.program import Kernel, device_defines, option_list, source
 from ncv_cl.resolve import resolve_image
-from ncv_cl.samples import NO_RAY, Batch, SampleSource
+from ncv_cl.samples import SEEN, Batch, SampleSource
 from ncv_cl.scene import Camera, Material, QuadLight, Scene
+from ncv_cl.shaft import Occluders
 from ncv_cl.trace import Tracer
 
 
@@ -266,11 +267,15 @@ def sampling(
     samples: int,
     sampler: str = "sobol",
     seed: int = 1,
+    with_occluders: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded."""
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
-    samples_of = SampleSource(device, scene, recorder, points, integrand, sampler, seed, samples)
+    occluders = Occluders(device, scene, points, integrand) if with_occluders else None
+    samples_of = SampleSource(
+        device, scene, recorder, points, integrand, sampler, seed, samples, occluders
+    )
     return points, samples_of, recorder
 
 
@@ -289,8 +294,8 @@ def batch_arrays(batch: Batch, channels: int) -> dict[str, np.ndarray]:
 def shadowed_values(batch: Batch, channels: int) -> np.ndarray:
     """Values with their traced visibility, float64 (channels, points, samples)."""
     arrays, visible = batch_arrays(batch, channels), batch.visible.read()
-    traced = arrays["slot"] != NO_RAY
-    seen = np.zeros(traced.shape)
+    traced = arrays["slot"] < SEEN
+    seen = (arrays["slot"] == SEEN).astype(np.float64)
     seen[traced] = visible[arrays["slot"][traced]]
     return arrays["value"].astype(np.float64) * seen
 

@@ -23,6 +23,7 @@ ORDER = (
     "sampler trace",
     "points",
     "integrands",
+    "shaft",
     "encode samples",
     "network",
     "probe",

@@ -32,6 +32,8 @@ class Integrand(ABC):
     """Whether f is easier to learn over its unshadowed mean than as it is."""
     emitters_active: ClassVar[bool]
     """Whether points on area lights have an integral of their own."""
+    to_lights: ClassVar[bool] = False
+    """Whether every ray ends on an area light, and ``data`` begins with the lights' records."""
 
     @abstractmethod
     def data(self, scene: Scene) -> np.ndarray:

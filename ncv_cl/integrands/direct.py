@@ -24,6 +24,7 @@ class DirectLight(Integrand):
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
     emitters_active = False
+    to_lights = True
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)

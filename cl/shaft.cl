@@ -1,0 +1,206 @@
+/* Shadow rays without a ray tracer: the few triangles that can stand between a point and a light.
+ *
+ * All shadow rays of a shading point start at one place and end on a light: they fill a pyramid, the shaft.
+ * find_occluders looks once for the triangles that reach into a point's shafts, in boxes of boxes of boxes of BRANCH
+ * triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
+ * samples are tested against these (Haines and Wallace 1991, shaft culling); other points leave their rays to the host.
+ *
+ * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the light's
+ * and the surface's own. A triangle all of whose corners lie outside one plane by more than rounding is left out;
+ * what is kept though it cannot be hit costs time only.
+ *
+ * The test. With corners a, b, c relative to the origin and direction d, the signs of d.(b x c), d.(c x a) and
+ * d.(a x b) say on which side of the three edges the ray passes. Of two triangles with a common edge one gets
+ * the other's number with its sign turned, so no ray slips through between them. The ray meets the plane before
+ * its end at d if a.(b x c) lies between 0 and the sum of the three.
+ *
+ * Memory layout: `boxes`: planes of box_stride floats: lower x, y, z, upper x, y, z; the boxes of triangles, then
+ * those of these boxes, then those of these (first_1, first_2). Box k of a level holds number k * BRANCH and on
+ * of the level below. `corners`: planes of corner_stride floats, x, y, z of each triangle's corner 0, then 1,
+ * then 2. `occluders`: OCCLUDER_WORDS words a point: how many (TOO_MANY: not known), and which.
+ *
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_occluders is one work-item a
+ * point.
+ */
+
+#define SHAFT_PLANES 6
+
+/* Outside where normal . x > limit. */
+typedef struct {
+  float3 normal;
+  float limit;
+} Plane;
+
+/* The shaft from `origin` to one light; `tolerance` is what rounding may move a corner by. */
+void shaft_planes(const ShadingPoint *p, global const float *restrict light, const float tolerance,
+                  Plane plane[SHAFT_PLANES]) {
+  const float3 origin = ray_origin(p);
+  const float3 edge1 = vload3(1, light);
+  const float3 edge2 = vload3(2, light);
+  const float3 normal = vload3(3, light);
+  const float offset = light[18];
+  const float emitted = dot(normal, origin - vload3(0, light));
+  const float3 ends = emitted > 0.0f ? normal : -normal;
+  float3 corner[4];
+  corner[0] = vload3(0, light) - origin + offset * ends;
+  corner[1] = corner[0] + edge1;
+  corner[2] = corner[1] + edge2;
+  corner[3] = corner[0] + edge2;
+  const float3 centre = corner[0] + corner[2];
+  for (int side = 0; side < 4; ++side) {
+    const float3 across = cross(corner[side], corner[(side + 1) & 3]);
+    const float length2 = dot(across, across);
+    const float3 unit = length2 > 0.0f ? across * rsqrt(length2) : (float3)(0.0f);
+    plane[side].normal = dot(unit, centre) > 0.0f ? -unit : unit;
+    plane[side].limit = tolerance;
+  }
+  /* Rays end one offset before the light and start one off the surface: half of it is far from both. */
+  plane[4].normal = -ends;
+  plane[4].limit = dot(-ends, corner[0]) + 0.5f * offset;
+  plane[5].normal = -p->geometric_normal;
+  plane[5].limit = 0.5f * p->offset;
+}
+
+real row_at(global const float *restrict rows, const uint row, const uint stride, const uint at) {
+  return LOAD(rows + row * (ulong)stride + at);
+}
+
+/* Which of the boxes first .. min(first + BRANCH, end) reach into the shaft: a bit each. */
+uint boxes_in_shaft(const Plane *plane, const float3 origin, global const float *restrict boxes, const uint stride,
+                    const uint first, const uint end) {
+  uint found = 0;
+  for (uint block = 0; block < BRANCH && first + block < end; block += VEC) {
+    const uint at = first + block;
+    const real low_x = row_at(boxes, 0, stride, at) - origin.x;
+    const real low_y = row_at(boxes, 1, stride, at) - origin.y;
+    const real low_z = row_at(boxes, 2, stride, at) - origin.z;
+    const real high_x = row_at(boxes, 3, stride, at) - origin.x;
+    const real high_y = row_at(boxes, 4, stride, at) - origin.y;
+    const real high_z = row_at(boxes, 5, stride, at) - origin.z;
+    whole inside = LANE_NUMBER + at < (bits)end;
+    for (int k = 0; k < SHAFT_PLANES; ++k) {
+      const float3 n = plane[k].normal;
+      const real least = min(n.x * low_x, n.x * high_x) + min(n.y * low_y, n.y * high_y) +
+                         min(n.z * low_z, n.z * high_z);
+      inside = inside && (least <= plane[k].limit);
+    }
+    int is_inside[VEC];
+    STORE(inside, is_inside);
+    for (uint lane = 0; lane < VEC; ++lane) found |= (is_inside[lane] != 0 ? 1u : 0u) << (block + lane);
+  }
+  return found;
+}
+
+/* The same of triangles. */
+uint triangles_in_shaft(const Plane *plane, const float3 origin, global const float *restrict corners,
+                        const uint stride, const uint first, const uint end) {
+  uint found = 0;
+  for (uint block = 0; block < BRANCH && first + block < end; block += VEC) {
+    const uint at = first + block;
+    real x[9];
+    for (uint k = 0; k < 3; ++k) {
+      x[3 * k] = row_at(corners, 3 * k, stride, at) - origin.x;
+      x[3 * k + 1] = row_at(corners, 3 * k + 1, stride, at) - origin.y;
+      x[3 * k + 2] = row_at(corners, 3 * k + 2, stride, at) - origin.z;
+    }
+    whole inside = LANE_NUMBER + at < (bits)end;
+    for (int k = 0; k < SHAFT_PLANES; ++k) {
+      const float3 n = plane[k].normal;
+      const real first_corner = n.x * x[0] + n.y * x[1] + n.z * x[2];
+      const real second = n.x * x[3] + n.y * x[4] + n.z * x[5];
+      const real third = n.x * x[6] + n.y * x[7] + n.z * x[8];
+      inside = inside && (min(first_corner, min(second, third)) <= plane[k].limit);
+    }
+    int is_inside[VEC];
+    STORE(inside, is_inside);
+    for (uint lane = 0; lane < VEC; ++lane) found |= (is_inside[lane] != 0 ? 1u : 0u) << (block + lane);
+  }
+  return found;
+}
+
+/* Adds those of `found`, numbered from `first`, to the list, of which the first `before` are another light's; returns
+ * its length, TOO_MANY if they do not fit. */
+uint list_occluders(const uint found, const uint first, const uint before, uint count, global uint *restrict own) {
+  for (uint bit = 0; found >> bit != 0; ++bit) {
+    if ((found >> bit & 1u) == 0) continue;
+    bool is_new = true;
+    for (uint k = 1; k <= before; ++k) is_new = is_new && own[k] != first + bit;
+    if (!is_new) continue;
+    if (count == MOST_OCCLUDERS) return TOO_MANY;
+    own[++count] = first + bit;
+  }
+  return count;
+}
+
+kernel void find_occluders(const uint point_count, const uint total_points, const float tolerance,
+                           const uint triangle_count, const uint corner_stride, const uint box_stride,
+                           const uint count_0, const uint first_1, const uint count_1, const uint first_2,
+                           const uint count_2, global const float *restrict surface,
+                           global const float *restrict lights, global const float *restrict boxes,
+                           global const float *restrict corners, global uint *restrict occluders) {
+  const uint point = (uint)get_global_id(0);
+  if (point >= point_count) return;
+  const ShadingPoint p = load_shading_point(surface, total_points, point);
+  const float3 origin = ray_origin(&p);
+  global uint *restrict own = occluders + point * (ulong)OCCLUDER_WORDS;
+  uint count = 0;
+  for (uint light = 0; light < LIGHT_COUNT && count != TOO_MANY; ++light) {
+    const uint before = count;
+    Plane plane[SHAFT_PLANES];
+    shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane);
+    for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
+      const uint in_top = boxes_in_shaft(plane, origin, boxes + first_2, box_stride, top, count_2);
+      for (uint i = 0; in_top >> i != 0 && count != TOO_MANY; ++i) {
+        if ((in_top >> i & 1u) == 0) continue;
+        const uint middle = (top + i) * BRANCH;
+        const uint in_middle = boxes_in_shaft(plane, origin, boxes + first_1, box_stride, middle, count_1);
+        for (uint j = 0; in_middle >> j != 0 && count != TOO_MANY; ++j) {
+          if ((in_middle >> j & 1u) == 0) continue;
+          const uint bottom = (middle + j) * BRANCH;
+          const uint in_bottom = boxes_in_shaft(plane, origin, boxes, box_stride, bottom, count_0);
+          for (uint k = 0; in_bottom >> k != 0 && count != TOO_MANY; ++k) {
+            if ((in_bottom >> k & 1u) == 0) continue;
+            const uint first = (bottom + k) * BRANCH;
+            count = list_occluders(triangles_in_shaft(plane, origin, corners, corner_stride, first, triangle_count),
+                                   first, before, count, own);
+          }
+        }
+      }
+    }
+  }
+  own[0] = count;
+}
+
+/* a x b, exactly the negative of b x a: no product may be fused into the difference. */
+float3 exact_cross(const float3 a, const float3 b) {
+#pragma OPENCL FP_CONTRACT OFF
+  const float3 first = a.yzx * b.zxy;
+  const float3 second = a.zxy * b.yzx;
+  return first - second;
+}
+
+/* Whether rays from `origin` are blocked on their way to origin + direction by one of the point's occluders. */
+whole blocked_by(global const uint *restrict own, const uint count, global const float *restrict corners,
+                 const uint stride, const float3 origin, const real direction[3]) {
+  whole blocked = (whole)0;
+  for (uint k = 1; k <= count; ++k) {
+    float3 corner[3];
+    for (uint c = 0; c < 3; ++c) {
+      const ulong at = 3 * c * (ulong)stride + own[k];
+      corner[c] = (float3)(corners[at], corners[at + stride], corners[at + 2 * (ulong)stride]) - origin;
+    }
+    const float3 edge[3] = {exact_cross(corner[1], corner[2]), exact_cross(corner[2], corner[0]),
+                            exact_cross(corner[0], corner[1])};
+    const float volume = dot(corner[0], edge[0]);
+    real side[3];
+    for (uint e = 0; e < 3; ++e)
+      side[e] = FMA((real)edge[e].x, direction[0], FMA((real)edge[e].y, direction[1], edge[e].z * direction[2]));
+    const real sum = side[0] + side[1] + side[2];
+    const real low = min(side[0], min(side[1], side[2]));
+    const real high = max(side[0], max(side[1], side[2]));
+    const whole from_front = (low >= 0.0f) && (volume > 0.0f) && (sum > volume);
+    const whole from_back = (high <= 0.0f) && (volume < 0.0f) && (sum < volume);
+    blocked = blocked || from_front || from_back;
+  }
+  return blocked;
+}

@@ -1,0 +1,133 @@
+"""Shadow rays that few triangles can block: the same answers as embree's, and the same pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reference import (
+    camera_at,
+    grey,
+    intersect,
+    light_at,
+    mesh_scene,
+    quad,
+    sampling,
+    shadowed_values,
+)
+
+from ncv_cl import shaft
+from ncv_cl.integrands import DirectLight
+from ncv_cl.render import render
+from ncv_cl.samples import NO_RAY, SEEN
+from ncv_cl.shaft import TOO_MANY
+
+CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
+FLOOR = quad([-4, -1, -4], [0, 0, 8], [8, 0, 0])
+LIGHTS = (light_at([-1, 4, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)),)
+SEVERAL_LIGHTS = (
+    *LIGHTS,
+    light_at([3, 0, -1], [0, 2, 0], [0, 0, 2], 4, two_sided=True),
+)
+
+
+def soup(count, lights=LIGHTS, size=0.4, seed=3):
+    """A floor under a light, and triangles of any shape and place between."""
+    generator = np.random.default_rng(seed)
+    centres = generator.uniform([-2.5, -0.8, -2.5], [2.5, 3.5, 2.5], (count, 1, 3))
+    triangles = centres + size * generator.normal(size=(count, 3, 3))
+    return mesh_scene(np.concatenate([FLOOR, triangles]), CAMERA, lights, (grey(),))
+
+
+def both(device, scene, samples=64, size=(12, 10)):
+    """Values with their visibility by embree and by occluders, slots, and the source with these."""
+    found = []
+    for with_occluders in (False, True):
+        points, source, _ = sampling(
+            device, scene, DirectLight(), size, samples, with_occluders=with_occluders
+        )
+        batch = source.draw(range(points.active), range(samples), 0)
+        slot = batch.slot.read()[: points.active * batch.stride].reshape(points.active, -1)
+        found.append(shadowed_values(batch, 3))
+    return *found, slot[:, :samples], source
+
+
+@pytest.mark.parametrize("count", [0, 3, 40, 600, 9000])
+@pytest.mark.parametrize("lights", [LIGHTS, SEVERAL_LIGHTS], ids=["one-light", "two-lights"])
+def test_occluders_answer_as_embree_does(device, count, lights):
+    by_embree, by_occluders, slot, source = both(device, soup(count, lights, 3 / (2 + count**0.5)))
+    lit = by_embree > 0
+    # Where a ray grazes an edge rounding decides.
+    assert np.mean(lit != (by_occluders > 0)) < 2e-5
+    same = lit == (by_occluders > 0)
+    np.testing.assert_array_equal(by_embree[same], by_occluders[same])
+    rays = source.rays
+    assert rays.on_device > 0 and (count < 9000 or rays.traced > 0)
+    assert rays.on_device + rays.traced + rays.skipped == slot.size
+    assert np.count_nonzero(slot < SEEN) == rays.traced
+
+
+def test_lists_hold_all_that_blocks(device, monkeypatch):
+    """Against every triangle, by brute force in double precision."""
+    monkeypatch.setattr(shaft, "MOST_OCCLUDERS", (15,))
+    scene = soup(300)
+    points, source, _ = sampling(device, scene, DirectLight(), (8, 6), 32, with_occluders=True)
+    lists = source.occluders.lists.read()
+    corners = source.occluders.corners.read()[:, : len(scene.triangles)]
+    batch = source.draw(range(points.active), range(32), 0)
+    uv = np.stack([a.read()[: points.active * 32].reshape(-1, 32) for a in (batch.u, batch.v)])
+    light = scene.lights[0]
+    ends = light.corner + uv[0][..., None] * light.edge1 + uv[1][..., None] * light.edge2
+    origin = (points.rows("position") + points.rows("offset") * points.rows("geometric_normal")).T
+    size = 3 * points.active * 32
+    lit = batch.value.read().ravel()[:size].reshape(3, -1, 32).max(axis=0) > 0
+    known = np.flatnonzero(lists[:, 0] != TOO_MANY)
+    assert 0 < len(known) < points.active
+    blocked = 0
+    for point in known:
+        own = corners[:, lists[point, 1 : 1 + lists[point, 0]]].T.reshape(-1, 3, 3)
+        start = np.repeat(origin[point][None].astype(float), 32, 0)
+        triangle, _, _, distance = intersect(scene, start, ends[point] - start)
+        for index in np.unique(triangle[lit[point] & (triangle >= 0) & (distance < 0.9999)]):
+            wanted = scene.vertices[scene.triangles[index]]
+            if scene.triangle_light[index] < 0:
+                blocked += 1
+                assert (own == wanted).all(axis=(1, 2)).any()
+    assert blocked > 10
+
+
+def test_no_ray_slips_through_a_common_edge(device):
+    """A sheet of triangles whose edges and corners the rays of a grid of points run along."""
+    grid = np.linspace(-1, 1, 5)
+    sheet = [quad([x, 1, z], [0, 0, 0.5], [0.5, 0, 0]) for x in grid[:-1] for z in grid[:-1]]
+    light = light_at([-0.25, 3, -0.25], [0.5, 0, 0], [0, 0, 0.5])
+    camera = camera_at([0, 0.5, 0], [0, -1, 0], 20, up=(0, 0, 1))
+    scene = mesh_scene(np.concatenate([FLOOR, *sheet]), camera, (light,), (grey(),))
+    _, values, slot, _ = both(device, scene, 256, (16, 16))
+    assert not values.any() and (slot == NO_RAY).all()
+
+
+def test_points_that_see_all_of_the_light_trace_nothing(device):
+    _, values, slot, source = both(device, soup(0))
+    assert (slot == SEEN).all() and (values > 0).all() and source.rays.traced == 0
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+@pytest.mark.parametrize("name", ["cornell_box", "occluders"])
+def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
+    images = [
+        render(
+            scenes / f"{name}.toml", "direct", method, spp=16, train_spp=4, size=(24, 24),
+            visibility=visibility, device=device,
+        )
+        for visibility in ("auto", "embree")
+    ]  # fmt: skip
+    np.testing.assert_array_equal(images[0].pixels, images[1].pixels)
+    first, second = (image.stats for image in images)
+    assert first["rays_on_device"] > 0 and second["rays_on_device"] == 0
+    assert first["rays_on_device"] + first["rays_traced"] == second["rays_traced"]
+
+
+def test_large_images_have_shorter_lists(one_device, monkeypatch):
+    monkeypatch.setattr(shaft, "LIST_BYTES", 1000)
+    _, source, _ = sampling(one_device, soup(5), DirectLight(), (12, 10), 4, with_occluders=True)
+    assert source.occluders.lists.shape[1] == shaft.MOST_OCCLUDERS[-1] + 1
