@@ -12,6 +12,11 @@
  *
  * Coordinates are multiples of 2^-24 in [0, 1).
  *
+ * Paths need more dimensions: sample_nested gives two pairs a bounce. With Sobol points each pair is the same
+ * two-dimensional sequence again, scrambled on its own and drawn in an order that is scrambled on its own
+ * (padding, Burley 2020), so that pairs are independent of each other. The last word of Philox's counter
+ * is 4 * bounce + use, use being 0 or 1 as above (bounce 0), 2 for independent pairs, 3 for roulette.
+ *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
@@ -55,7 +60,7 @@ bits reverse_bits(const bits word) {
 }
 
 /* Owen scrambling of a bit-reversed word: every bit is flipped by a hash of the bits below it. */
-bits owen_hash(const bits word, const uint seed) {
+bits owen_hash(const bits word, const bits seed) {
   bits x = word;
   x ^= x * 0x3D20ADEAu;
   x += seed;
@@ -85,14 +90,47 @@ void sample_square(const uint point, const bits index, const uint stream, const 
   uint scramble[4] = {0u, point, stream, 1u};
   philox_scalar(scramble, seed_low, seed_high);
   /* The first dimension is the bit-reversed index, so its bit-reversed form is the index itself. */
-  *u = to_unit_interval(reverse_bits(owen_hash(index, scramble[0])) ^ scramble[2]);
-  *v = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), scramble[1])) ^ scramble[3]);
+  *u = to_unit_interval(reverse_bits(owen_hash(index, (bits)scramble[0])) ^ scramble[2]);
+  *v = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), (bits)scramble[1])) ^ scramble[3]);
 #else
   bits state[4] = {index, (bits)point, (bits)stream, (bits)0u};
   philox(state, seed_low, seed_high);
   *u = to_unit_interval(state[0]);
   *v = to_unit_interval(state[1]);
 #endif
+}
+
+/* Two pairs of coordinates for a bounce (1, 2, ...) of the paths behind samples `index` of shading points `point`. */
+void sample_nested(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
+                   const uint seed_high, real pairs[4]) {
+#if SAMPLER == SAMPLER_SOBOL
+  bits shift[4] = {(bits)(2u * bounce - 1u), point, (bits)stream, (bits)1u};
+  bits scramble[4] = {(bits)(2u * bounce), point, (bits)stream, (bits)1u};
+  philox(shift, seed_low, seed_high);
+  philox(scramble, seed_low, seed_high);
+#pragma unroll
+  for (uint pair = 0; pair < 4; pair += 2) {
+    const bits seed = scramble[pair + 1];
+    const bits other = seed * 0x9E3779B9u + 0x7F4A7C15u;
+    const bits order = reverse_bits(owen_hash(reverse_bits(index), scramble[pair]));
+    const bits first = reverse_bits(owen_hash(order, seed));
+    const bits second = reverse_bits(owen_hash(sobol_second_reversed(order), other));
+    pairs[pair] = to_unit_interval(first ^ shift[pair]);
+    pairs[pair + 1] = to_unit_interval(second ^ shift[pair + 1]);
+  }
+#else
+  bits state[4] = {index, point, (bits)stream, (bits)(4u * bounce + 2u)};
+  philox(state, seed_low, seed_high);
+  for (uint number = 0; number < 4; ++number) pairs[number] = to_unit_interval(state[number]);
+#endif
+}
+
+/* An independent coordinate for the same. */
+real sample_roulette(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
+                     const uint seed_high) {
+  bits state[4] = {index, point, (bits)stream, (bits)(4u * bounce + 3u)};
+  philox(state, seed_low, seed_high);
+  return to_unit_interval(state[0]);
 }
 
 /* The bare sampler, for users who bring their own integrand and for the sampler's own tests. */

@@ -8,7 +8,7 @@ from ..points import RELATIVE_OFFSET
 from ..scene import QuadLight, Scene
 from .base import Integrand, IntegrandError
 
-LIGHT_FLOATS = 19
+LIGHT_FLOATS = 20
 
 
 class DirectLight(Integrand):
@@ -19,7 +19,7 @@ class DirectLight(Integrand):
     """
 
     name = "direct"
-    files = ("bsdf", "direct")
+    files = ("bsdf", "lights", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
@@ -83,5 +83,6 @@ def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
         width,
         float(light.two_sided),
         offset,
+        width / light.area,
     ]
     return np.array(record, np.float32)
