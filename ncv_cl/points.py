@@ -57,6 +57,8 @@ class ShadingPoints:
         The first `active` points have an integral; the rest only fill image layers.
     background : int
         Sub-pixels whose camera ray hit nothing.
+    material : ndarray, optional
+        int32 (total,), index of the material of each point.
     """
 
     surface: HostArray
@@ -64,6 +66,7 @@ class ShadingPoints:
     light: np.ndarray
     active: int
     background: int
+    material: np.ndarray | None = None
 
     @property
     def total(self) -> int:
@@ -149,7 +152,8 @@ def find_points(
         surface,
     )
     device.queue.finish()
-    return ShadingPoints(surface, cell, light, active, cells - len(cell))
+    material = scene.triangle_material[hits.triangle[cell]]
+    return ShadingPoints(surface, cell, light, active, cells - len(cell), material)
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:
@@ -167,4 +171,5 @@ def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) 
         np.concatenate([hits.triangle for hits in found]),
         np.concatenate([hits.u for hits in found]),
         np.concatenate([hits.v for hits in found]),
+        np.concatenate([hits.distance for hits in found]),
     )

@@ -24,12 +24,12 @@ from .integrands import INTEGRANDS, Integrand
 from .learn import learn, learn_density
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
+from .paths import sample_source
 from .points import find_points
 from .presets import PRESETS
 from .report import identity, metadata, statistics
 from .resolve import resolve_image
 from .sampler import Stream
-from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .trace import Tracer
@@ -72,8 +72,8 @@ def render(
     ----------
     scene : Scene, str or Path
         A scene, or the path of its TOML file.
-    integrand : {"ao", "direct"} or Integrand
-        Ambient occlusion or direct light; an `Integrand` object carries options.
+    integrand : {"ao", "direct", "gi"} or Integrand
+        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options.
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or after a first pass of plain Monte Carlo whichever
         is predicted to reach the error of the latter sooner.
@@ -208,7 +208,7 @@ class _Rendering:
                 settings.supersample,
                 settings.integrand.emitters_active,
             )
-        self.source = SampleSource(
+        self.source = sample_source(
             device,
             scene,
             self.tracer,

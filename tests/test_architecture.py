@@ -24,6 +24,7 @@ ORDER = (
     "points",
     "integrands",
     "encode samples",
+    "paths",
     "network",
     "probe",
     "choose",
@@ -34,6 +35,7 @@ ORDER = (
     "estimation variate",
     "custom",
     "render",
+    "split",
     "cli __init__",
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
@@ -60,7 +62,8 @@ USERS = {
         "resolve",
     },
     "resolve": {"custom", "render"},
-    "render": {"cli", "__init__"},
+    "render": {"cli", "split", "__init__"},
+    "split": {"cli", "__init__"},
     "cli": set(),
 }
 # A floating-point literal without an f.

@@ -32,6 +32,8 @@ class Integrand(ABC):
     """Whether f is easier to learn over its unshadowed mean than as it is."""
     emitters_active: ClassVar[bool]
     """Whether points on area lights have an integral of their own."""
+    nested: ClassVar[bool] = False
+    """Whether f is itself estimated, by paths (`paths.PathSource`)."""
 
     @abstractmethod
     def data(self, scene: Scene) -> np.ndarray:
@@ -52,3 +54,13 @@ class Integrand(ABC):
             float32 (3, points), unit directions towards the viewer.
         """
         return np.zeros((len(light), 3), np.float32)
+
+    def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
+        """What surfaces add by themselves, float32 (points, 3).
+
+        Parameters
+        ----------
+        material : ndarray
+            int32 (points,), index of each point's material.
+        """
+        return np.zeros((len(material), 3), np.float32)

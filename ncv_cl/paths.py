@@ -1,0 +1,282 @@
+"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import NamedTuple
+
+import numpy as np
+
+from .device import Device, HostArray
+from .integrands import GlobalIllumination, Integrand
+from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines
+from .program import build
+from .sampler import sampler_defines
+from .samples import NO_RAY, Batch, SampleSource
+from .scene import Scene
+from .trace import Hits, Tracer
+
+# Of a ray beside its origin and direction: throughput and density.
+STATE_ROWS = 4
+# Bounces from which on Russian roulette may end a path, and the most that it lets go on.
+ROULETTE_BOUNCE = 3
+MOST_SURVIVE = 0.95
+
+
+def sample_source(
+    device: Device,
+    scene: Scene,
+    tracer: Tracer,
+    points: ShadingPoints,
+    integrand: Integrand,
+    sampler: str,
+    seed: int,
+    samples_per_point: int,
+) -> SampleSource:
+    """The `SampleSource` that suits the integrand; arguments as it takes them."""
+    kind = PathSource if integrand.nested else SampleSource
+    return kind(device, scene, tracer, points, integrand, sampler, seed, samples_per_point)
+
+
+class _Rays(NamedTuple):
+    """Memory for rays and what they carry, as paths.cl lays it out."""
+
+    origins: HostArray
+    directions: HostArray
+    state: HostArray
+    path: HostArray
+
+    @classmethod
+    def of(cls, device: Device, capacity: int) -> _Rays:
+        # Kernels load whole vectors, also where the last has lanes without a ray.
+        return cls(
+            _zeros(device, (capacity, 3), np.float32),
+            _zeros(device, (capacity, 3), np.float32),
+            _zeros(device, (STATE_ROWS, capacity), np.float32),
+            _zeros(device, capacity, np.uint32),
+        )
+
+
+class PathSource(SampleSource):
+    """Draws samples of global illumination: complete values, each with the noise of one path.
+
+    Parameters as for `SampleSource`.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        tracer: Tracer,
+        points: ShadingPoints,
+        integrand: GlobalIllumination,
+        sampler: str,
+        seed: int,
+        samples_per_point: int,
+    ) -> None:
+        super().__init__(device, scene, tracer, points, integrand, sampler, seed, samples_per_point)
+        self._most = np.inf if integrand.clamp is None else integrand.clamp
+        records, defines = triangle_records(scene)
+        self._triangles = HostArray.of(device, records)
+        self._paths = build(
+            device,
+            ("common", "sampler", "surface", "bsdf", "bounce", "lights", "batch", "paths"),
+            {
+                **surface_defines(),
+                **sampler_defines(sampler),
+                **integrand.defines(scene),
+                **defines,
+                "STATE_ROWS": f"{STATE_ROWS}u",
+                "MAX_DEPTH": f"{integrand.max_depth or 0}u",
+                "ROULETTE_BOUNCE": f"{ROULETTE_BOUNCE}u",
+                "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+                "NO_RAY": f"{NO_RAY}u",
+            },
+        )
+        capacity = self._capacity
+        self._rays, self._next, self._shadows = (_Rays.of(device, capacity) for _ in range(3))
+        self._hits = Hits(
+            _zeros(device, capacity, np.int32),
+            *(_zeros(device, capacity, np.float32) for _ in range(3)),
+        )
+        self._radiance = HostArray(device, (self.channels, capacity), np.float32)
+        self._counts = HostArray(device, 2, np.uint32)
+        self._lit = HostArray(device, capacity, np.uint8)
+        # Shadow rays end at multiple 1 of their directions.
+        self._reach = np.ones(capacity, np.float32)
+        # Values are complete: all samples share one ray that has been answered.
+        self._whole_slot = _zeros(device, capacity, np.uint32)
+        self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: HostArray | None = None,
+    ) -> Batch:
+        """As `SampleSource.draw`; all samples of the batch are visible, their values complete."""
+        batch = super().draw(points, samples, stream, order, density)
+        begun, traced = time.perf_counter(), self.rays.trace_seconds
+        alive, bounce = self._begin(batch), 1
+        while alive:
+            self._trace(alive)
+            shadows, alive = self._shade(batch, bounce, alive, samples.start, stream)
+            self._add_lit(shadows)
+            self._rays, self._next = self._next, self._rays
+            bounce += 1
+        count = len(batch.points) * batch.stride
+        self._paths.kernel("finish_paths")(
+            -(-count // self.device.vector_width),
+            count,
+            self._capacity,
+            self._most,
+            batch.slot,
+            batch.visible,
+            self._radiance,
+            batch.value,
+        )
+        self.device.queue.finish()
+        traced = self.rays.trace_seconds - traced
+        self.rays.sample_seconds += time.perf_counter() - begun - traced
+        return Batch(
+            points, batch.order, batch.samples, batch.stride, batch.u, batch.v, batch.value,
+            self._whole_slot, self._whole_visible, batch.weight,
+        )  # fmt: skip
+
+    def _begin(self, batch: Batch) -> int:
+        """The first rays; returns how many."""
+        self._counts.fill(0)
+        self._paths.kernel("begin_paths")(
+            len(batch.points) * batch.stride // self.device.vector_width,
+            batch.points.start,
+            len(batch.points),
+            self.points.total,
+            batch.samples,
+            batch.stride,
+            self._capacity,
+            batch.order,
+            self.points.surface,
+            batch.u,
+            batch.v,
+            self._radiance,
+            *self._rays,
+            self._counts,
+        )
+        return int(self._counts.read()[0])
+
+    def _trace(self, alive: int) -> None:
+        """Closest hits of the rays under way."""
+        started = time.perf_counter()
+        with ExitStack() as stack:
+            origins, directions = (
+                stack.enter_context(one.mapped(count=alive)) for one in self._rays[:2]
+            )
+            hits = self._hits
+            out = Hits(
+                *(
+                    stack.enter_context(one.mapped(write=True, count=alive))
+                    for one in (hits.triangle, hits.u, hits.v, hits.distance)
+                )
+            )
+            self._tracer.closest(origins, directions, out)
+        self.rays.trace_seconds += time.perf_counter() - started
+        self.rays.traced += alive
+
+    def _shade(
+        self, batch: Batch, bounce: int, alive: int, first_sample: int, stream: int
+    ) -> tuple[int, int]:
+        """From hits to shadow rays and the next rays; returns how many of each."""
+        self._counts.fill(0)
+        hits = self._hits
+        self._paths.kernel("shade_hits")(
+            -(-alive // self.device.vector_width),
+            alive,
+            self._capacity,
+            bounce,
+            batch.points.start,
+            first_sample,
+            batch.stride,
+            stream,
+            *self._seed,
+            batch.order,
+            self._triangles,
+            self._data,
+            hits.triangle,
+            hits.u,
+            hits.v,
+            hits.distance,
+            self._rays.directions,
+            self._rays.state,
+            self._rays.path,
+            self._radiance,
+            *self._shadows,
+            *self._next,
+            self._counts,
+        )
+        shadows, alive = self._counts.read().tolist()
+        return shadows, alive
+
+    def _add_lit(self, count: int) -> None:
+        """Trace the shadow rays and add what they found visible."""
+        started = time.perf_counter()
+        with (
+            self._shadows.origins.mapped(count=count) as origins,
+            self._shadows.directions.mapped(count=count) as directions,
+            self._lit.mapped(write=True, count=count) as lit,
+        ):
+            self._tracer.visible(origins, directions, self._reach[:count], lit)
+        self.rays.trace_seconds += time.perf_counter() - started
+        self.rays.traced += count
+        self._paths.kernel("add_lit")(
+            count,
+            count,
+            self._capacity,
+            self._lit,
+            self._shadows.state,
+            self._shadows.path,
+            self._radiance,
+        )
+
+
+def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArray:
+    array = HostArray(device, shape, dtype)
+    array.fill(0)
+    return array
+
+
+def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
+    """What paths.cl reads of the triangles, float32 (triangles, floats), and its `-D` constants."""
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    edges = corners[:, 1:] - corners[:, :1]
+    # Scaled before the cross product, whose squared length is very small for small triangles.
+    scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
+    normals = np.cross(scaled[:, 0], scaled[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = RELATIVE_OFFSET * np.abs(corners).max(axis=(1, 2))
+    materials = [scene.materials[index] for index in range(len(scene.materials))]
+    rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
+            for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
+    own = scene.triangle_material
+    defines = {
+        "HAS_EMISSION": int(rows["emission"].any()),
+        "HAS_NORMALS": int(scene.vertex_normals.any()),
+    }
+    parts = [
+        corners[:, 0],
+        edges.reshape(len(corners), 6),
+        normals,
+        offsets[:, None],
+        scene.triangle_light[:, None],
+        rows["albedo"][own],
+    ]
+    if rows["reflectance"].any():
+        parts += [rows["reflectance"][own], rows["roughness"][own]]
+    if defines["HAS_EMISSION"]:
+        parts.append(rows["emission"][own])
+    if defines["HAS_NORMALS"]:
+        parts.append(scene.vertex_normals[scene.triangles].reshape(len(corners), 9))
+    records = np.concatenate(parts, axis=1).astype(np.float32)
+    return records, {**defines, "TRIANGLE_FLOATS": records.shape[1]}
