@@ -187,7 +187,8 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
                        const uint first_sample, const uint stride, const uint stream, const uint seed_low,
                        const uint seed_high, global const uint *restrict order,
                        global const float *restrict triangles, global const float *restrict lights,
-                       global const int *restrict hit, global const float *restrict hit_u,
+                       global const float *restrict guide_frame, global const float *restrict guide,
+                       global uint *restrict guide_place, global const int *restrict hit, global const float *restrict hit_u,
                        global const float *restrict hit_v, global const float *restrict hit_distance,
                        global const float *restrict directions, global const float *restrict state,
                        global const uint *restrict path, global float *restrict radiance,
@@ -271,6 +272,38 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
   append_rays(&shadow, lit && (largest_of(shadow.throughput) > 0.0f), plane, shadow_origins, shadow_directions,
               shadow_state, shadow_path, ray_counts);
 
+  real inverse_guide = (real)1.0f;
+#if GUIDED
+  const whole matte = !is_shiny(&s);
+  real guided_u = pairs[2];
+  real guided_v = pairs[3];
+  inverse_guide = guide_square(guide, guide_cell(guide_frame, position, s.normal), &guided_u, &guided_v);
+  inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
+  pairs[2] = SELECT(pairs[2], guided_u, matte);
+  pairs[3] = SELECT(pairs[3], guided_v, matte);
+#else
+  (void)guide;
+#endif
+#if RECORDED
+  /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
+  if (bounce == 1) {
+    const whole place =
+        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(pairs[2], pairs[3]);
+    uint places[VEC];
+    uint names[VEC];
+    int is_there[VEC];
+    STORE(SELECT(TO_BITS(place), (bits)NO_RAY, is_shiny(&s)), places);
+    STORE(ray.path, names);
+    STORE(on_surface, is_there);
+    for (uint lane = 0; lane < VEC; ++lane)
+      if (is_there[lane] != 0) guide_place[names[lane]] = places[lane];
+  }
+#else
+  (void)guide_place;
+#endif
+#if !GUIDED && !RECORDED
+  (void)guide_frame;
+#endif
   ray.direction = sample_scattering(&s, pairs[2], pairs[3]);
   ray.density = scattering_density(&s, ray.direction);
   const triple factor = bounce_throughput(&s, geometric_normal, ray.direction, ray.density);
@@ -279,13 +312,18 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
   ray.throughput.z *= factor.z;
   whole alive = on_surface && both_ways;
   if (bounce >= ROULETTE_BOUNCE) {
-    const real survival = min(largest_of(ray.throughput), (real)MOST_SURVIVE);
+    const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
     alive = alive && (sample_roulette(point, index, stream, bounce, seed_low, seed_high) < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
     ray.throughput.x *= scale_up;
     ray.throughput.y *= scale_up;
     ray.throughput.z *= scale_up;
   }
+  /* After roulette, which goes by how bright the surface is, and not by how likely the direction was. Light that the
+   * ray finds is weighted as if it had not been guided: weights have to sum to one, no more. */
+  ray.throughput.x *= inverse_guide;
+  ray.throughput.y *= inverse_guide;
+  ray.throughput.z *= inverse_guide;
   append_rays(&ray, alive && (largest_of(ray.throughput) > 0.0f), plane, next_origins, next_directions, next_state,
               next_path, ray_counts + 1);
 }

@@ -40,6 +40,8 @@ class Checkpoint:
         The control variate and its density.
     prediction : dict, optional
         Of method "auto".
+    guide : ndarray, optional
+        What guides paths, as `PathSource.use_guide` takes it.
     """
 
     identity: dict[str, object]
@@ -50,6 +52,7 @@ class Checkpoint:
     network: Network | None
     density: DensityNetwork | None
     prediction: dict[str, object] | None
+    guide: np.ndarray | None = None
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
@@ -63,6 +66,8 @@ class Checkpoint:
                 "before_variance": self.before.variance,
                 "before_samples": self.before.samples,
             }
+        if self.guide is not None:
+            arrays["guide"] = self.guide
         about = {
             "identity": self.identity,
             "method": self.method,
@@ -117,6 +122,7 @@ class Checkpoint:
             Network.load(path) if has_network else None,
             DensityNetwork.load(path) if has_network else None,
             about["prediction"],
+            arrays.get("guide"),
         )
 
     def check(self, identity: dict[str, object]) -> None:

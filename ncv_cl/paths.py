@@ -9,19 +9,21 @@ from typing import NamedTuple
 import numpy as np
 
 from .device import Device, HostArray
+from .guide import GuideRecorder, guide_defines, guide_frame
 from .integrands import GlobalIllumination, Integrand
 from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines
 from .program import build
 from .sampler import sampler_defines
-from .samples import NO_RAY, Batch, SampleSource
+from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource
 from .scene import Scene
 from .trace import Hits, Tracer
 
 # Of a ray beside its origin and direction: throughput and density.
 STATE_ROWS = 4
 # Bounces from which on Russian roulette may end a path, and the most that it lets go on.
-ROULETTE_BOUNCE = 3
+ROULETTE_BOUNCE = 2
 MOST_SURVIVE = 0.95
+ROULETTE_SCALE = 2.0
 
 
 def sample_source(
@@ -79,21 +81,27 @@ class PathSource(SampleSource):
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
-        self._paths = build(
-            device,
-            ("common", "sampler", "surface", "bsdf", "bounce", "lights", "batch", "paths"),
-            {
-                **surface_defines(),
-                **sampler_defines(sampler),
-                **integrand.defines(scene),
-                **defines,
-                "STATE_ROWS": f"{STATE_ROWS}u",
-                "MAX_DEPTH": f"{integrand.max_depth or 0}u",
-                "ROULETTE_BOUNCE": f"{ROULETTE_BOUNCE}u",
-                "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
-                "NO_RAY": f"{NO_RAY}u",
-            },
-        )
+        self._frame = HostArray.of(device, guide_frame(scene))
+        self._guide: HostArray | None = None
+        self._recorder: GuideRecorder | None = None
+        self._files = (
+            "common", "sampler", "surface", "bsdf", "bounce", "lights", "warp", "guide", "batch", "paths",
+        )  # fmt: skip
+        self._defines = {
+            **surface_defines(),
+            **sampler_defines(sampler),
+            **integrand.defines(scene),
+            **defines,
+            "STATE_ROWS": f"{STATE_ROWS}u",
+            "MAX_DEPTH": f"{integrand.max_depth or 0}u",
+            "ROULETTE_BOUNCE": f"{ROULETTE_BOUNCE}u",
+            "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+            "ROULETTE_SCALE": f"{ROULETTE_SCALE!r}f",
+            "NO_RAY": f"{NO_RAY}u",
+            "DENSITY_BINS": DENSITY_BINS,
+            **guide_defines(),
+        }
+        self._choose_program()
         capacity = self._capacity
         self._rays, self._next, self._shadows = (_Rays.of(device, capacity) for _ in range(3))
         self._hits = Hits(
@@ -101,6 +109,7 @@ class PathSource(SampleSource):
             *(_zeros(device, capacity, np.float32) for _ in range(3)),
         )
         self._radiance = HostArray(device, (self.channels, capacity), np.float32)
+        self._place = _zeros(device, capacity, np.uint32)
         self._counts = HostArray(device, 2, np.uint32)
         self._lit = HostArray(device, capacity, np.uint8)
         # Shadow rays end at multiple 1 of their directions.
@@ -108,6 +117,29 @@ class PathSource(SampleSource):
         # Values are complete: all samples share one ray that has been answered.
         self._whole_slot = _zeros(device, capacity, np.uint32)
         self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
+
+    def record_guide(self) -> None:
+        """Keep what paths find from now on, for `learn_guide`."""
+        self._recorder = GuideRecorder()
+        self._choose_program()
+
+    def learn_guide(self) -> np.ndarray:
+        """Guide bounces by what was recorded since `record_guide`; returns what `use_guide` takes."""
+        densities = self._recorder.densities()
+        self._recorder = None
+        self.use_guide(densities)
+        return densities
+
+    def use_guide(self, densities: np.ndarray) -> None:
+        """Guide bounces behind the first by these, float32 (guide.CELLS, DENSITY_FLOATS)."""
+        self._guide = HostArray.of(self.device, densities)
+        self._choose_program()
+
+    def _choose_program(self) -> None:
+        recorded = self._recorder is not None
+        guided = self._guide is not None and not recorded
+        flags = {"RECORDED": int(recorded), "GUIDED": int(guided)}
+        self._paths = build(self.device, self._files, {**self._defines, **flags})
 
     def draw(
         self,
@@ -126,7 +158,11 @@ class PathSource(SampleSource):
             shadows, alive = self._shade(batch, bounce, alive, samples.start, stream)
             self._add_lit(shadows)
             self._rays, self._next = self._next, self._rays
+            if bounce == 1 and self._recorder is not None:
+                under_way = self._under_way(alive)
             bounce += 1
+        if bounce > 2 and self._recorder is not None:
+            self._record(*under_way)
         count = len(batch.points) * batch.stride
         self._paths.kernel("finish_paths")(
             -(-count // self.device.vector_width),
@@ -167,6 +203,21 @@ class PathSource(SampleSource):
         )
         return int(self._counts.read()[0])
 
+    def _under_way(self, alive: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays that leave the first hits: their paths, throughputs, and what these paths brought so far."""
+        with self._rays.path.mapped(count=alive) as path, self._rays.state.mapped() as state:
+            path, throughput = path.copy(), state[:3, :alive].mean(axis=0)
+        with self._radiance.mapped() as radiance:
+            return path, throughput, radiance[:, path].mean(axis=0)
+
+    def _record(self, path: np.ndarray, throughput: np.ndarray, before: np.ndarray) -> None:
+        """What came along rays that were `_under_way`."""
+        with self._radiance.mapped() as radiance, self._place.mapped() as place:
+            brought = (radiance[:, path].mean(axis=0) - before) / throughput
+            place = place[path]
+        known = place != NO_RAY
+        self._recorder.add(place[known], np.maximum(brought[known], 0).astype(np.float64))
+
     def _trace(self, alive: int) -> None:
         """Closest hits of the rays under way."""
         started = time.perf_counter()
@@ -204,6 +255,9 @@ class PathSource(SampleSource):
             batch.order,
             self._triangles,
             self._data,
+            self._frame,
+            self._frame if self._guide is None else self._guide,
+            self._place,
             hits.triangle,
             hits.u,
             hits.v,

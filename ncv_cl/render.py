@@ -195,6 +195,7 @@ class _Rendering:
         # What was sampled before the estimate proper, and what was predicted from it.
         self.before: Estimate | None = None
         self.prediction: Prediction | None = None
+        self.guide: np.ndarray | None = None
         self.points_done_twice = 0
         self.keep = _Keep(None, {}, None)
         with self.watch("scene"):
@@ -231,6 +232,9 @@ class _Rendering:
         if resumed is not None:
             self.before = resumed.before
             self.prediction = Prediction(**resumed.prediction) if resumed.prediction else None
+            if resumed.guide is not None:
+                self.guide = resumed.guide
+                self.source.use_guide(resumed.guide)
         elif settings.method == "auto" and points.active and network is None and save_network is None:
             # Who wants a network gets one; else the first pass decides.
             begun = self._begin_plain()
@@ -300,6 +304,9 @@ class _Rendering:
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         trainer = None
         if network is None:
+            guided = settings.integrand.nested
+            if guided:
+                self.source.record_guide()
             learned = learn(
                 device,
                 GridCube.around(self.scene.bounds),
@@ -311,6 +318,9 @@ class _Rendering:
                 self.stop,
             )
             network, trainer = learned.network, learned.trainer
+            if guided:
+                with self.watch("guide"):
+                    self.guide = self.source.learn_guide()
             # The first pass of "auto" has more samples than training.
             self.before = self.before or learned.estimate
         else:
@@ -441,4 +451,5 @@ class _Rendering:
                 variate.folded.network if variate else None,
                 variate.learned if variate else None,
                 self.prediction.as_dict() if self.prediction else None,
+                self.guide,
             ).save(self.keep.path)
