@@ -5,6 +5,9 @@
  * matte surface's next direction are warped. guide_frame: six floats, the box's lower corner and one over
  * the extent of its cells.
  *
+ * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean radiance that arrives there from other surfaces,
+ * over the square. It replaces what roulette ends.
+ *
  * Joined after warp.cl, which finds the place of a coordinate in a record.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.

@@ -89,7 +89,7 @@ whole is_shiny(const Scatterer *s) {
 }
 
 kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
-                        const uint sample_count, const uint stride, const uint capacity,
+                        const uint sample_count, const uint stride, const uint capacity, const uint max_depth,
                         global const uint *restrict order, global const float *restrict surface,
                         global const float *restrict u, global const float *restrict v,
                         global float *restrict radiance, global float *restrict origins,
@@ -116,9 +116,9 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
 #endif
   ray.path = LANE_NUMBER + (uint)at;
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-#if MAX_DEPTH == 2 && !HAS_EMISSION
-  /* Only what could have found a light is of use. */
-  alive = alive && (ray.density > 0.0f);
+#if !HAS_EMISSION
+  /* Of use at depth 2 is only what could have found a light. */
+  if (max_depth == 2) alive = alive && (ray.density > 0.0f);
 #endif
   append_rays(&ray, alive, capacity, origins, directions, state, path, ray_count);
 }
@@ -181,14 +181,13 @@ void add_radiance(const triple throughput, const real amount[3], const bits path
         radiance[channel * capacity + name[lane]] += added[channel][lane];
 }
 
-/* Rays of `bounce` (the first is 1) and their hits; last_light and last_ray say that this bounce's surfaces are the
- * last to be lit, and that no rays leave them. */
-kernel void shade_hits(const uint count, const uint capacity, const uint bounce, const uint first_point,
+/* Rays of `bounce` (the first is 1) and their hits. */
+kernel void shade_hits(const uint count, const uint capacity, const uint max_depth, const uint bounce, const uint first_point,
                        const uint first_sample, const uint stride, const uint stream, const uint seed_low,
                        const uint seed_high, global const uint *restrict order,
                        global const float *restrict triangles, global const float *restrict lights,
                        global const float *restrict guide_frame, global const float *restrict guide,
-                       global uint *restrict guide_place, global const int *restrict hit, global const float *restrict hit_u,
+                       global const float *restrict guide_mean, global uint *restrict guide_place, global const int *restrict hit, global const float *restrict hit_u,
                        global const float *restrict hit_v, global const float *restrict hit_distance,
                        global const float *restrict directions, global const float *restrict state,
                        global const uint *restrict path, global float *restrict radiance,
@@ -238,12 +237,11 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
   add_radiance(ray.throughput, glow, ray.path, on_surface && (largest_of(emission) > 0.0f), plane, radiance);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
-  if (MAX_DEPTH > 0 && bounce + 2 > MAX_DEPTH) return;
-#if MAX_DEPTH > 0 && !HAS_EMISSION
-  /* For the last of them a ray that finds light is worth while only if the lobe is narrow. */
-  const whole both_ways = is_shiny(&s) || (whole)(bounce + 3 <= MAX_DEPTH);
-#else
-  const whole both_ways = on_surface;
+  if (bounce + 2 > max_depth) return;
+  whole both_ways = on_surface;
+#if !HAS_EMISSION
+  /* For the last of them a ray that finds light is worth while only if there is a lobe. */
+  if (bounce + 3 > max_depth) both_ways = both_ways && is_shiny(&s);
 #endif
   ray.origin = sum_of(position, geometric_normal, gather(triangles, at + 12));
   /* The path's sample: of which point, and which of its samples. */
@@ -277,12 +275,14 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
   const whole matte = !is_shiny(&s);
   real guided_u = pairs[2];
   real guided_v = pairs[3];
-  inverse_guide = guide_square(guide, guide_cell(guide_frame, position, s.normal), &guided_u, &guided_v);
+  const whole cell = guide_cell(guide_frame, position, s.normal);
+  inverse_guide = guide_square(guide, cell, &guided_u, &guided_v);
   inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
   pairs[2] = SELECT(pairs[2], guided_u, matte);
   pairs[3] = SELECT(pairs[3], guided_v, matte);
 #else
   (void)guide;
+  (void)guide_mean;
 #endif
 #if RECORDED
   /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
@@ -311,10 +311,22 @@ kernel void shade_hits(const uint count, const uint capacity, const uint bounce,
   ray.throughput.y *= factor.y;
   ray.throughput.z *= factor.z;
   whole alive = on_surface && both_ways;
+  alive = alive && (largest_of(ray.throughput) > 0.0f);
   if (bounce >= ROULETTE_BOUNCE) {
     const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
-    alive = alive && (sample_roulette(point, index, stream, bounce, seed_low, seed_high) < survival);
+    const whole survives =
+        alive && (sample_roulette(point, index, stream, bounce, seed_low, seed_high) < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
+#if GUIDED
+    /* What a cell is known to receive is counted in any case, and roulette decides on the difference alone:
+     * c + (R - c) / survival or c, whose expectation is R whatever c. */
+    const whole known = cell * GUIDE_CHANNELS;
+    const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
+    const real expected[3] = {kept * gather(guide_mean, known), kept * gather(guide_mean, known + 1),
+                              kept * gather(guide_mean, known + 2)};
+    add_radiance(ray.throughput, expected, ray.path, alive && matte, plane, radiance);
+#endif
+    alive = survives;
     ray.throughput.x *= scale_up;
     ray.throughput.y *= scale_up;
     ray.throughput.z *= scale_up;

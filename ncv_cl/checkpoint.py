@@ -13,6 +13,7 @@ import numpy as np
 
 from .density import DensityNetwork
 from .estimate import Estimate
+from .guide import Guide
 from .network import Network
 
 
@@ -40,8 +41,8 @@ class Checkpoint:
         The control variate and its density.
     prediction : dict, optional
         Of method "auto".
-    guide : ndarray, optional
-        What guides paths, as `PathSource.use_guide` takes it.
+    guide : Guide, optional
+        What guides paths.
     """
 
     identity: dict[str, object]
@@ -52,7 +53,7 @@ class Checkpoint:
     network: Network | None
     density: DensityNetwork | None
     prediction: dict[str, object] | None
-    guide: np.ndarray | None = None
+    guide: Guide | None = None
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
@@ -67,7 +68,7 @@ class Checkpoint:
                 "before_samples": self.before.samples,
             }
         if self.guide is not None:
-            arrays["guide"] = self.guide
+            arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
         about = {
             "identity": self.identity,
             "method": self.method,
@@ -122,7 +123,9 @@ class Checkpoint:
             Network.load(path) if has_network else None,
             DensityNetwork.load(path) if has_network else None,
             about["prediction"],
-            arrays.get("guide"),
+            Guide(*(arrays[f"guide_{name}"] for name in Guide._fields))
+            if "guide_means" in arrays
+            else None,
         )
 
     def check(self, identity: dict[str, object]) -> None:

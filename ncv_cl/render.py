@@ -19,6 +19,7 @@ from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .estimation import Estimation
+from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
 from .learn import learn, learn_density
@@ -195,7 +196,7 @@ class _Rendering:
         # What was sampled before the estimate proper, and what was predicted from it.
         self.before: Estimate | None = None
         self.prediction: Prediction | None = None
-        self.guide: np.ndarray | None = None
+        self.guide: Guide | None = None
         self.points_done_twice = 0
         self.keep = _Keep(None, {}, None)
         with self.watch("scene"):

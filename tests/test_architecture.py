@@ -24,6 +24,7 @@ ORDER = (
     "points",
     "integrands",
     "encode samples",
+    "guide",
     "paths",
     "network",
     "probe",

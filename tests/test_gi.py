@@ -16,7 +16,7 @@ from reference import (
     unit,
 )
 
-from ncv_cl import DirectLight, GlobalIllumination, IntegrandError, Material, render
+from ncv_cl import DirectLight, GlobalIllumination, IntegrandError, Material, render, render_split
 from ncv_cl.integrands.direct import strip_widths
 
 CAMERA = camera_at([0.1, 0.2, 0.4], [-0.3, -0.4, -1], 60)
@@ -41,7 +41,7 @@ ALBEDO = np.array([0.2, 0.5, 0.8])
 EMISSION = np.array([1.0, 2.0, 0.5])
 
 
-@pytest.mark.parametrize("depth", [2, 3, 4])
+@pytest.mark.parametrize("depth", [2, 3])
 def test_a_furnace_is_a_geometric_series(device, depth):
     scene = closed_box(glowing(ALBEDO, EMISSION))
     image = render(scene, GlobalIllumination(depth), "mc", spp=4, size=(5, 4), device=device)
@@ -50,15 +50,17 @@ def test_a_furnace_is_a_geometric_series(device, depth):
     np.testing.assert_allclose(image.pixels, np.broadcast_to(expected, image.pixels.shape), rtol=1e-5)
 
 
-@pytest.mark.parametrize("sampler", ["independent", "sobol"])
-def test_roulette_leaves_a_furnace_as_bright_as_it_is(device, sampler):
+@pytest.mark.parametrize("depth, sampler", [(5, "sobol"), (None, "independent"), (None, "sobol")])
+def test_roulette_leaves_a_furnace_as_bright_as_it_is(device, depth, sampler):
     scene = closed_box(glowing(ALBEDO, EMISSION))
     images = [
-        render(scene, GlobalIllumination(), "mc", sampler, spp=256, size=(8, 8), seed=s, device=device)
+        render(
+            scene, GlobalIllumination(depth), "mc", sampler, spp=256, size=(8, 8), seed=s, device=device
+        )
         for s in range(3)
     ]
     found = np.concatenate([image.pixels.reshape(-1, 3) for image in images])
-    error = found.mean(axis=0) - EMISSION / (1 - ALBEDO)
+    error = found.mean(axis=0) - EMISSION * (1 - ALBEDO ** (depth or 1000)) / (1 - ALBEDO)
     assert (np.abs(error) < 4 * found.std(axis=0) / np.sqrt(len(found))).all()
     assert (found.std(axis=0) > 0).all()
 
@@ -217,3 +219,26 @@ def test_scenes_that_do_not_suit_are_refused():
     with pytest.raises(IntegrandError, match="emits"):
         DirectLight().data(closed_box(glowing(0.5, 1.0), lamps))
     assert strip_widths(lamps).sum() == 1
+
+
+def test_direct_light_split_off_is_the_same_image(device):
+    scene = room(GLOSSY)
+    options = {"method": "mc", "sampler": "independent", "spp": 512, "size": (6, 5), "device": device}
+    whole = render(scene, GlobalIllumination(5), seed=1, **options)
+    split = render_split(scene, GlobalIllumination(5), seed=2, **options)
+    z = (whole.pixels - split.pixels) / np.sqrt(whole.variance + split.variance + 1e-12)
+    assert np.mean(z**2) < 1 + 5 * np.sqrt(2 / (z.size / 3)) and np.abs(z).max() < 6
+    assert split.stats["rays_traced"] == sum(
+        split.stats[part]["rays_traced"] for part in ("direct", "indirect")
+    )
+    assert split.metadata["split_direct"] and split.metadata["max_depth"] == 5
+
+
+@pytest.mark.parametrize(
+    "integrand, options, said",
+    [("direct", {}, "split off"), (GlobalIllumination(direct=False), {}, "split off"),
+     ("gi", {"checkpoint": "file.npz"}, "checkpoint"), ("gi", {"target_mse": 1e-3}, "target_mse")],
+)  # fmt: skip
+def test_what_cannot_be_split_is_refused(integrand, options, said):
+    with pytest.raises(ValueError, match=said):
+        render_split(room(GLOSSY), integrand, **options)
