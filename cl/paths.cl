@@ -116,10 +116,8 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
 #endif
   ray.path = LANE_NUMBER + (uint)at;
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-#if !HAS_EMISSION
   /* Of use at depth 2 is only what could have found a light. */
-  if (max_depth == 2) alive = alive && (ray.density > 0.0f);
-#endif
+  if (max_depth == 2 && !HAS_EMISSION) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, capacity, origins, directions, state, path, ray_count);
 }
 
@@ -207,7 +205,8 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   const ulong plane = capacity;
   Ray ray;
   ray.throughput = (triple){LOAD(state + first), LOAD(state + plane + first), LOAD(state + 2 * plane + first)};
-  ray.path = LOAD(path + first);
+  /* What a lane past the last ray finds there may be of a larger batch. */
+  ray.path = SELECT((bits)0, LOAD(path + first), here);
   const whole light = TO_WHOLE(gather(triangles, at + 13));
   const whole met = here && (triangle >= 0);
 
@@ -239,19 +238,17 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
   if (bounce + 2 > max_depth) return;
   whole both_ways = on_surface;
-#if !HAS_EMISSION
   /* For the last of them a ray that finds light is worth while only if there is a lobe. */
-  if (bounce + 3 > max_depth) both_ways = both_ways && is_shiny(&s);
-#endif
+  if (bounce + 3 > max_depth && !HAS_EMISSION) both_ways = both_ways && is_shiny(&s);
   ray.origin = sum_of(position, geometric_normal, gather(triangles, at + 12));
   /* The path's sample: of which point, and which of its samples. */
   const bits slot = ray.path / stride;
   const bits index = ray.path - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
-  real pairs[4];
-  sample_nested(point, index, stream, bounce, seed_low, seed_high, pairs);
+  real coordinates[5];
+  sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
 
-  const LightSample found = sample_lights(lights, position, ray.origin, pairs[0], pairs[1]);
+  const LightSample found = sample_lights(lights, position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);
@@ -273,13 +270,13 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   real inverse_guide = (real)1.0f;
 #if GUIDED
   const whole matte = !is_shiny(&s);
-  real guided_u = pairs[2];
-  real guided_v = pairs[3];
+  real guided_u = coordinates[2];
+  real guided_v = coordinates[3];
   const whole cell = guide_cell(guide_frame, position, s.normal);
   inverse_guide = guide_square(guide, cell, &guided_u, &guided_v);
   inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
-  pairs[2] = SELECT(pairs[2], guided_u, matte);
-  pairs[3] = SELECT(pairs[3], guided_v, matte);
+  coordinates[2] = SELECT(coordinates[2], guided_u, matte);
+  coordinates[3] = SELECT(coordinates[3], guided_v, matte);
 #else
   (void)guide;
   (void)guide_mean;
@@ -288,7 +285,7 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
   if (bounce == 1) {
     const whole place =
-        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(pairs[2], pairs[3]);
+        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
     uint places[VEC];
     uint names[VEC];
     int is_there[VEC];
@@ -304,7 +301,7 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
 #if !GUIDED && !RECORDED
   (void)guide_frame;
 #endif
-  ray.direction = sample_scattering(&s, pairs[2], pairs[3]);
+  ray.direction = sample_scattering(&s, coordinates[2], coordinates[3]);
   ray.density = scattering_density(&s, ray.direction);
   const triple factor = bounce_throughput(&s, geometric_normal, ray.direction, ray.density);
   ray.throughput.x *= factor.x;
@@ -315,7 +312,7 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   if (bounce >= ROULETTE_BOUNCE) {
     const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
     const whole survives =
-        alive && (sample_roulette(point, index, stream, bounce, seed_low, seed_high) < survival);
+        alive && (coordinates[4] < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
 #if GUIDED
     /* What a cell is known to receive is counted in any case, and roulette decides on the difference alone:

@@ -14,8 +14,8 @@
  *
  * Paths need more dimensions: sample_nested gives two pairs a bounce. With Sobol points each pair is the same
  * two-dimensional sequence again, scrambled on its own and drawn in an order that is scrambled on its own
- * (padding, Burley 2020), so that pairs are independent of each other. The last word of Philox's counter
- * is 4 * bounce + use, use being 0 or 1 as above (bounce 0), 2 for independent pairs, 3 for roulette.
+ * (padding, Burley 2020), so that pairs are independent of each other. Philox's counter is then (bounce,
+ * point, stream, 1), and (sample, point, stream, 4 * bounce + 2) for independent points.
  *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
@@ -100,37 +100,41 @@ void sample_square(const uint point, const bits index, const uint stream, const 
 #endif
 }
 
-/* Two pairs of coordinates for a bounce (1, 2, ...) of the paths behind samples `index` of shading points `point`. */
-void sample_nested(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
-                   const uint seed_high, real pairs[4]) {
-#if SAMPLER == SAMPLER_SOBOL
-  bits shift[4] = {(bits)(2u * bounce - 1u), point, (bits)stream, (bits)1u};
-  bits scramble[4] = {(bits)(2u * bounce), point, (bits)stream, (bits)1u};
-  philox(shift, seed_low, seed_high);
-  philox(scramble, seed_low, seed_high);
-#pragma unroll
-  for (uint pair = 0; pair < 4; pair += 2) {
-    const bits seed = scramble[pair + 1];
-    const bits other = seed * 0x9E3779B9u + 0x7F4A7C15u;
-    const bits order = reverse_bits(owen_hash(reverse_bits(index), scramble[pair]));
-    const bits first = reverse_bits(owen_hash(order, seed));
-    const bits second = reverse_bits(owen_hash(sobol_second_reversed(order), other));
-    pairs[pair] = to_unit_interval(first ^ shift[pair]);
-    pairs[pair + 1] = to_unit_interval(second ^ shift[pair + 1]);
-  }
-#else
-  bits state[4] = {index, point, (bits)stream, (bits)(4u * bounce + 2u)};
-  philox(state, seed_low, seed_high);
-  for (uint number = 0; number < 4; ++number) pairs[number] = to_unit_interval(state[number]);
-#endif
+/* An integer hash (MurmurHash3's finaliser). */
+bits mix_bits(const bits word) {
+  bits x = word;
+  x ^= x >> 16;
+  x *= 0x85EBCA6Bu;
+  x ^= x >> 13;
+  x *= 0xC2B2AE35u;
+  return x ^ (x >> 16);
 }
 
-/* An independent coordinate for the same. */
-real sample_roulette(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
-                     const uint seed_high) {
-  bits state[4] = {index, point, (bits)stream, (bits)(4u * bounce + 3u)};
-  philox(state, seed_low, seed_high);
-  return to_unit_interval(state[0]);
+/* Coordinates for a bounce (1, 2, ...) of the paths behind samples `index` of shading points `point`: two pairs, and
+ * one more from the bits that these leave over. */
+void sample_nested(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
+                   const uint seed_high, real coordinates[5]) {
+#if SAMPLER == SAMPLER_SOBOL
+  bits words[4] = {(bits)bounce, point, (bits)stream, (bits)1u};
+  philox(words, seed_low, seed_high);
+  /* The shifts, which are Philox's, make each point uniform whatever these are. */
+  bits seed = mix_bits(point * 0x9E3779B1u + ((seed_low ^ (seed_high << 16)) + bounce * 0x27D4EB2Fu + stream));
+#pragma unroll
+  for (uint pair = 0; pair < 4; pair += 2) {
+    const bits order_seed = seed;
+    const bits first_seed = mix_bits(seed + 0x9E3779B9u);
+    const bits second_seed = mix_bits(first_seed + 0x9E3779B9u);
+    seed = mix_bits(second_seed + 0x9E3779B9u);
+    const bits order = reverse_bits(owen_hash(reverse_bits(index), order_seed));
+    words[pair] ^= reverse_bits(owen_hash(order, first_seed));
+    words[pair + 1] ^= reverse_bits(owen_hash(sobol_second_reversed(order), second_seed));
+  }
+#else
+  bits words[4] = {index, point, (bits)stream, (bits)(4u * bounce + 2u)};
+  philox(words, seed_low, seed_high);
+#endif
+  for (uint number = 0; number < 4; ++number) coordinates[number] = to_unit_interval(words[number]);
+  coordinates[4] = to_unit_interval((words[0] << 24) | ((words[1] & 255u) << 16) | ((words[2] & 255u) << 8));
 }
 
 /* The bare sampler, for users who bring their own integrand and for the sampler's own tests. */

@@ -242,13 +242,16 @@ class PathSource(SampleSource):
                 stack.enter_context(one.mapped(count=alive)) for one in self._rays[:2]
             )
             hits = self._hits
-            out = Hits(
-                *(
-                    stack.enter_context(one.mapped(write=True, count=alive))
-                    for one in (hits.triangle, hits.u, hits.v, hits.distance)
-                )
-            )
-            self._tracer.closest(origins, directions, out)
+            # Whole vectors: lanes past the last ray are to have hit nothing.
+            width = self.device.vector_width
+            padded = -(-alive // width) * width
+            views = [
+                stack.enter_context(one.mapped(write=True, count=padded))
+                for one in (hits.triangle, hits.u, hits.v, hits.distance)
+            ]
+            for view, nothing in zip(views, (-1, 0, 0, 0), strict=True):
+                view[alive:] = nothing
+            self._tracer.closest(origins, directions, Hits(*(view[:alive] for view in views)))
         self.rays.trace_seconds += time.perf_counter() - started
         self.rays.traced += alive
 

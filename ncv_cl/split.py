@@ -17,7 +17,7 @@ _ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse", 
 def render_split(
     scene: Scene | str | Path, integrand: str | Integrand = "gi", **options: object
 ) -> Image:
-    """Render direct light by its own control variate, and all other light by another, and add the two.
+    """Direct light by its own control variate, all other light by another, and their sum.
 
     Parameters
     ----------
