@@ -42,6 +42,7 @@ VARIANTS = {
     "Sobol": {"method": "mc"},
     "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
     "slides": {"method": "ncv", "preset": "slides", "train_spp": 16},
+    "ncv, unguided": {"method": "ncv", "guided": False},
     "ncv, uniform": {"method": "ncv", "density": "none", "allocation": "uniform"},
     "ncv, density": {"method": "ncv", "allocation": "uniform"},
     "ncv, allocation": {"method": "ncv", "density": "none"},
@@ -74,9 +75,12 @@ class Case:
         self.device, self.size = device, (size, size)
         self.scene = ncv.load_scene(SCENES / f"{name}.toml")
 
-    def render(self, spp: int, seed: int, split: bool = False, **options: object) -> ncv.Image:
+    def render(
+        self, spp: int, seed: int, split: bool = False, guided: bool = True, **options: object
+    ) -> ncv.Image:
+        integrand = GlobalIllumination(guided=guided)
         return (render_split if split else ncv.render)(
-            self.scene, GlobalIllumination(), spp=spp, size=self.size, seed=seed, device=self.device,
+            self.scene, integrand, spp=spp, size=self.size, seed=seed, device=self.device,
             **options,
         )  # fmt: skip
 

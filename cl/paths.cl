@@ -117,7 +117,8 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.path = LANE_NUMBER + (uint)at;
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
   /* Of use at depth 2 is only what could have found a light. */
-  if (max_depth == 2 && !HAS_EMISSION) alive = alive && (ray.density > 0.0f);
+  const uint last_of_use = HAS_EMISSION ? 1u : 2u;
+  if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, capacity, origins, directions, state, path, ray_count);
 }
 
@@ -239,7 +240,8 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   if (bounce + 2 > max_depth) return;
   whole both_ways = on_surface;
   /* For the last of them a ray that finds light is worth while only if there is a lobe. */
-  if (bounce + 3 > max_depth && !HAS_EMISSION) both_ways = both_ways && is_shiny(&s);
+  const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
+  if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
   ray.origin = sum_of(position, geometric_normal, gather(triangles, at + 12));
   /* The path's sample: of which point, and which of its samples. */
   const bits slot = ray.path / stride;

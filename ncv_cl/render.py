@@ -305,7 +305,7 @@ class _Rendering:
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         trainer = None
         if network is None:
-            guided = settings.integrand.nested
+            guided = settings.guides
             if guided:
                 self.source.record_guide()
             learned = learn(

@@ -50,7 +50,7 @@ def render_split(
     reference = options.pop("reference", None)
     seed = options.pop("seed", 0)
     direct = render(scene, DirectLight(), seed=seed, **options)
-    rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp)
+    rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp, guided=whole.guided)
     # Another seed: the errors of the two are to be independent.
     indirect = render(scene, rest, seed=(seed + 2**63) % 2**64, **options)
     image = _sum(direct, indirect)

@@ -24,6 +24,9 @@ class GlobalIllumination(Integrand):
         Whether what the area lights send to the shading points themselves is part of it.
     clamp : float, optional
         Most that the largest channel of what one path brings may be: less noise, and too dark.
+    guided : bool
+        Whether a control variate's training also learns what guides the bounces behind the first; the
+        slides' preset never does.
     """
 
     name = "gi"
@@ -35,7 +38,11 @@ class GlobalIllumination(Integrand):
     nested = True
 
     def __init__(
-        self, max_depth: int | None = None, direct: bool = True, clamp: float | None = None
+        self,
+        max_depth: int | None = None,
+        direct: bool = True,
+        clamp: float | None = None,
+        guided: bool = True,
     ) -> None:
         if max_depth is not None and (int(max_depth) != max_depth or max_depth < 2):
             raise IntegrandError(f"max_depth must be a whole number of at least 2, got {max_depth!r}")
@@ -44,6 +51,7 @@ class GlobalIllumination(Integrand):
         self.max_depth = None if max_depth is None else int(max_depth)
         self.direct = bool(direct)
         self.clamp = None if clamp is None else float(clamp)
+        self.guided = bool(guided)
 
     def data(self, scene: Scene) -> np.ndarray:
         if not scene.lights and not emissions(scene).any():
