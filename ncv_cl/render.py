@@ -22,7 +22,7 @@ from .estimation import Estimation
 from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .learn import learn, learn_density
+from .learn import AUTO_TRAINING_SAMPLES, TRAINING_PASS, learn, learn_density
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
 from .paths import sample_source
@@ -407,7 +407,21 @@ class _Rendering:
         estimation.passes.run("first pass", self.progress, last=1)
         seconds = time.perf_counter() - started
         first = estimation.first_estimate()
-        self.prediction = predict(self.device, first, estimation.differences(), seconds, settings.spp)
+        training = 0.0
+        if settings.guides:
+            chosen, samples = settings.training_points(
+                self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
+            )
+            training = len(chosen) * samples / self.points.active
+        self.prediction = predict(
+            self.device,
+            first,
+            estimation.differences(),
+            seconds,
+            settings.spp,
+            settings.guides,
+            training,
+        )
         if self.prediction.method == "ncv":
             self.before = estimation.results()[0]
         return estimation
