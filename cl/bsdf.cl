@@ -7,8 +7,23 @@
  * symmetric, so the sum is reciprocal, and it takes from Lambert what the lobe reflects, so no
  * direction reflects more than it receives. No reflectance means no lobe: plain Lambert.
  *
+ * Every lane has a surface of its own (Scatterer), which may be one shading point's for all of them.
+ *
  * Work-group contract: none; pure functions of private values.
  */
+
+typedef struct {
+  triple normal;   /* shading normal, unit, on the viewer's side */
+  triple outgoing; /* unit, towards the viewer */
+  triple albedo;
+  triple reflectance; /* at normal incidence */
+  real roughness;
+} Scatterer;
+
+Scatterer scatterer_of(const ShadingPoint *p) {
+  return (Scatterer){to_triple(p->normal), to_triple(p->outgoing), to_triple(p->albedo),
+                     to_triple(p->reflectance), (real)p->roughness};
+}
 
 real schlick_weight(const real cosine) {
   const real m = clamp(1.0f - cosine, (real)0.0f, (real)1.0f);
@@ -16,53 +31,61 @@ real schlick_weight(const real cosine) {
   return m2 * m2 * m;
 }
 
-/* f_r for VEC unit directions (x, y, z); zero below the shading normal. */
-void scattering(const ShadingPoint *p, const real x, const real y, const real z, real f_r[3]) {
-  const float albedo[3] = {p->albedo.x, p->albedo.y, p->albedo.z};
-#if HAS_SPECULAR
-  const float reflectance[3] = {p->reflectance.x, p->reflectance.y, p->reflectance.z};
-  const real cosine_i = p->normal.x * x + p->normal.y * y + p->normal.z * z;
-  const float cosine_o = fmax(dot(p->normal, p->outgoing), 1e-6f);
-  const real guarded_i = max(cosine_i, (real)1e-6f);
-  const real sum_x = x + p->outgoing.x;
-  const real sum_y = y + p->outgoing.y;
-  const real sum_z = z + p->outgoing.z;
-  const real inverse = rsqrt(max(sum_x * sum_x + sum_y * sum_y + sum_z * sum_z, (real)1e-20f));
-  const real cosine_h =
-      clamp((p->normal.x * sum_x + p->normal.y * sum_y + p->normal.z * sum_z) * inverse, (real)0.0f, (real)1.0f);
-  const real half_o =
-      (p->outgoing.x * sum_x + p->outgoing.y * sum_y + p->outgoing.z * sum_z) * inverse;
-  const float alpha = p->roughness * p->roughness;
-  const float alpha2 = alpha * alpha;
+/* D for a half vector that is `inverse` times `sum`. */
+real microfacet_density(const Scatterer *s, const triple sum, const real inverse) {
+  const real cosine_h = clamp(dot_triple(s->normal, sum) * inverse, (real)0.0f, (real)1.0f);
+  const real alpha = s->roughness * s->roughness;
+  const real alpha2 = alpha * alpha;
   /* 1 + cos^2 (alpha^2 - 1) as alpha^2 cos^2 + sin^2, the sine from a cross product: nothing cancels,
    * however narrow the lobe. */
-  const real sine_x = p->normal.y * sum_z - p->normal.z * sum_y;
-  const real sine_y = p->normal.z * sum_x - p->normal.x * sum_z;
-  const real sine_z = p->normal.x * sum_y - p->normal.y * sum_x;
+  const real sine_x = s->normal.y * sum.z - s->normal.z * sum.y;
+  const real sine_y = s->normal.z * sum.x - s->normal.x * sum.z;
+  const real sine_z = s->normal.x * sum.y - s->normal.y * sum.x;
   const real slope = alpha2 * cosine_h * cosine_h +
                      (sine_x * sine_x + sine_y * sine_y + sine_z * sine_z) * inverse * inverse;
-  const real distribution = alpha2 / (M_PI_F * slope * slope);
-  const real lambda = guarded_i * sqrt(alpha2 + (1.0f - alpha2) * cosine_o * cosine_o) +
-                      cosine_o * sqrt(alpha2 + (1.0f - alpha2) * guarded_i * guarded_i);
+  return alpha2 / (M_PI_F * slope * slope);
+}
+
+/* cos_a sqrt(alpha^2 + (1 - alpha^2) cos_b^2): masking of b, times cos_a. */
+real masking(const Scatterer *s, const real cosine_a, const real cosine_b) {
+  const real alpha = s->roughness * s->roughness;
+  const real alpha2 = alpha * alpha;
+  return cosine_a * sqrt(alpha2 + (1.0f - alpha2) * cosine_b * cosine_b);
+}
+
+/* One channel of f_r. */
+real scattered(const real albedo, const real f0, const real lobe, const real weight_h, const real weight_i,
+               const real weight_o) {
+  const real has_lobe = SELECT((real)0.0f, (real)1.0f, f0 > 0.0f);
+  const real below_i = 1.0f - has_lobe * (f0 + (1.0f - f0) * weight_i);
+  const real below_o = 1.0f - has_lobe * (f0 + (1.0f - f0) * weight_o);
+  return albedo * M_1_PI_F * below_i * below_o + has_lobe * (f0 + (1.0f - f0) * weight_h) * lobe;
+}
+
+/* f_r for VEC unit directions; zero below the shading normal. */
+void scattering(const Scatterer *s, const triple incident, real f_r[3]) {
+#if HAS_SPECULAR
+  const real cosine_i = dot_triple(s->normal, incident);
+  const real cosine_o = max(dot_triple(s->normal, s->outgoing), (real)1e-6f);
+  const real guarded_i = max(cosine_i, (real)1e-6f);
+  const triple sum = {incident.x + s->outgoing.x, incident.y + s->outgoing.y, incident.z + s->outgoing.z};
+  const real inverse = rsqrt(max(dot_triple(sum, sum), (real)1e-20f));
   /* G2 / (4 cos_i cos_o) = 1 / (2 lambda). */
-  const real lobe = distribution * 0.5f / lambda;
-  const real weight_h = schlick_weight(half_o);
+  const real lambda = masking(s, guarded_i, cosine_o) + masking(s, cosine_o, guarded_i);
+  const real lobe = microfacet_density(s, sum, inverse) * 0.5f / lambda;
+  const real weight_h = schlick_weight(dot_triple(s->outgoing, sum) * inverse);
   const real weight_i = schlick_weight(guarded_i);
-  const float weight_o = pown(1.0f - fmin(cosine_o, 1.0f), 5);
-  for (int channel = 0; channel < 3; ++channel) {
-    const float f0 = reflectance[channel];
-    const float has_lobe = f0 > 0.0f ? 1.0f : 0.0f;
-    const real below_i = 1.0f - has_lobe * (f0 + (1.0f - f0) * weight_i);
-    const float below_o = 1.0f - has_lobe * (f0 + (1.0f - f0) * weight_o);
-    const real value = albedo[channel] * M_1_PI_F * below_i * below_o +
-                       has_lobe * (f0 + (1.0f - f0) * weight_h) * lobe;
-    f_r[channel] = SELECT((real)0.0f, value, cosine_i > 0.0f);
-  }
+  const real weight_o = schlick_weight(cosine_o);
+  f_r[0] = scattered(s->albedo.x, s->reflectance.x, lobe, weight_h, weight_i, weight_o);
+  f_r[1] = scattered(s->albedo.y, s->reflectance.y, lobe, weight_h, weight_i, weight_o);
+  f_r[2] = scattered(s->albedo.z, s->reflectance.z, lobe, weight_h, weight_i, weight_o);
+  for (int channel = 0; channel < 3; ++channel)
+    f_r[channel] = SELECT((real)0.0f, f_r[channel], cosine_i > 0.0f);
 #else
   /* Lambert looks the same from everywhere. */
-  (void)x;
-  (void)y;
-  (void)z;
-  for (int channel = 0; channel < 3; ++channel) f_r[channel] = (real)(albedo[channel] * M_1_PI_F);
+  (void)incident;
+  f_r[0] = s->albedo.x * M_1_PI_F;
+  f_r[1] = s->albedo.y * M_1_PI_F;
+  f_r[2] = s->albedo.z * M_1_PI_F;
 #endif
 }

@@ -72,3 +72,24 @@ float sum_lanes(const real x) {
   return s2.x + s2.y;
 #endif
 }
+
+/* The elements of an array at VEC places. */
+#if VEC == 1
+real gather(global const float *restrict array, const whole at) { return array[at]; }
+bits gather_bits(global const uint *restrict array, const bits at) { return array[at]; }
+#else
+real gather(global const float *restrict array, const whole at) {
+  int index[VEC];
+  float element[VEC];
+  STORE(at, index);
+  for (uint lane = 0; lane < VEC; ++lane) element[lane] = array[index[lane]];
+  return LOAD(element);
+}
+bits gather_bits(global const uint *restrict array, const bits at) {
+  uint index[VEC];
+  uint element[VEC];
+  STORE(at, index);
+  for (uint lane = 0; lane < VEC; ++lane) element[lane] = array[index[lane]];
+  return LOAD(element);
+}
+#endif

@@ -12,6 +12,11 @@
  *
  * Coordinates are multiples of 2^-24 in [0, 1).
  *
+ * Paths need more dimensions: sample_nested gives two pairs a bounce. With Sobol points each pair is the same
+ * two-dimensional sequence again, scrambled on its own and drawn in an order that is scrambled on its own
+ * (padding, Burley 2020), so that pairs are independent of each other. Philox's counter is then (bounce,
+ * point, stream, 1), and (sample, point, stream, 4 * bounce + 2) for independent points.
+ *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
@@ -55,7 +60,7 @@ bits reverse_bits(const bits word) {
 }
 
 /* Owen scrambling of a bit-reversed word: every bit is flipped by a hash of the bits below it. */
-bits owen_hash(const bits word, const uint seed) {
+bits owen_hash(const bits word, const bits seed) {
   bits x = word;
   x ^= x * 0x3D20ADEAu;
   x += seed;
@@ -85,14 +90,51 @@ void sample_square(const uint point, const bits index, const uint stream, const 
   uint scramble[4] = {0u, point, stream, 1u};
   philox_scalar(scramble, seed_low, seed_high);
   /* The first dimension is the bit-reversed index, so its bit-reversed form is the index itself. */
-  *u = to_unit_interval(reverse_bits(owen_hash(index, scramble[0])) ^ scramble[2]);
-  *v = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), scramble[1])) ^ scramble[3]);
+  *u = to_unit_interval(reverse_bits(owen_hash(index, (bits)scramble[0])) ^ scramble[2]);
+  *v = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), (bits)scramble[1])) ^ scramble[3]);
 #else
   bits state[4] = {index, (bits)point, (bits)stream, (bits)0u};
   philox(state, seed_low, seed_high);
   *u = to_unit_interval(state[0]);
   *v = to_unit_interval(state[1]);
 #endif
+}
+
+/* An integer hash (MurmurHash3's finaliser). */
+bits mix_bits(const bits word) {
+  bits x = word;
+  x ^= x >> 16;
+  x *= 0x85EBCA6Bu;
+  x ^= x >> 13;
+  x *= 0xC2B2AE35u;
+  return x ^ (x >> 16);
+}
+
+/* Coordinates for a bounce (1, 2, ...) of the paths behind samples `index` of shading points `point`: two pairs, and
+ * one more from the bits that these leave over. */
+void sample_nested(const bits point, const bits index, const uint stream, const uint bounce, const uint seed_low,
+                   const uint seed_high, real coordinates[5]) {
+#if SAMPLER == SAMPLER_SOBOL
+  bits words[4] = {(bits)bounce, point, (bits)stream, (bits)1u};
+  philox(words, seed_low, seed_high);
+  /* The shifts, which are Philox's, make each point uniform whatever these are. */
+  bits seed = mix_bits(point * 0x9E3779B1u + ((seed_low ^ (seed_high << 16)) + bounce * 0x27D4EB2Fu + stream));
+#pragma unroll
+  for (uint pair = 0; pair < 4; pair += 2) {
+    const bits order_seed = seed;
+    const bits first_seed = mix_bits(seed + 0x9E3779B9u);
+    const bits second_seed = mix_bits(first_seed + 0x9E3779B9u);
+    seed = mix_bits(second_seed + 0x9E3779B9u);
+    const bits order = reverse_bits(owen_hash(reverse_bits(index), order_seed));
+    words[pair] ^= reverse_bits(owen_hash(order, first_seed));
+    words[pair + 1] ^= reverse_bits(owen_hash(sobol_second_reversed(order), second_seed));
+  }
+#else
+  bits words[4] = {index, point, (bits)stream, (bits)(4u * bounce + 2u)};
+  philox(words, seed_low, seed_high);
+#endif
+  for (uint number = 0; number < 4; ++number) coordinates[number] = to_unit_interval(words[number]);
+  coordinates[4] = to_unit_interval((words[0] << 24) | ((words[1] & 255u) << 16) | ((words[2] & 255u) << 8));
 }
 
 /* The bare sampler, for users who bring their own integrand and for the sampler's own tests. */

@@ -24,6 +24,15 @@ float3 load_row3(global const float *restrict surface, const uint total_points, 
                   surface[(row + 2u) * stride + point]);
 }
 
+/* Vectors in space, one a lane. */
+typedef struct {
+  real x, y, z;
+} triple;
+
+triple to_triple(const float3 v) { return (triple){(real)v.x, (real)v.y, (real)v.z}; }
+
+real dot_triple(const triple a, const triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
 ShadingPoint load_shading_point(global const float *restrict surface, const uint total_points,
                                 const uint point) {
   const ulong stride = total_points;

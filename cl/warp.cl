@@ -14,18 +14,6 @@
 /* The largest number below 1. */
 #define BELOW_ONE 0x1.fffffep-1f
 
-#if VEC == 1
-real gather(global const float *restrict array, const whole at) { return array[at]; }
-#else
-real gather(global const float *restrict array, const whole at) {
-  int index[VEC];
-  float element[VEC];
-  STORE(at, index);
-  for (uint lane = 0; lane < VEC; ++lane) element[lane] = array[index[lane]];
-  return LOAD(element);
-}
-#endif
-
 /* Places x, which lies between the cumulative probabilities of bin `number`, in the bin; divides
  * `inverse_density` by the density along this axis. */
 void place_in_bin(const whole number, const real lower, const real upper, real *x, real *inverse_density) {

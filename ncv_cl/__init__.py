@@ -10,11 +10,12 @@ from .choose import choose_device, devices
 from .custom import Integrals, estimate
 from .device import Device, DeviceError
 from .image import Image
-from .integrands import AmbientOcclusion, DirectLight, Integrand, IntegrandError
+from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .integrate import integrate
 from .network import Network, NetworkError
 from .render import render
-from .scene import Scene, SceneError, load_scene
+from .scene import Material, Scene, SceneError, load_scene
+from .split import render_split
 from .subdivide import Subdivision, draw_subdivision, subdivide
 
 __all__ = [
@@ -22,10 +23,12 @@ __all__ = [
     "Device",
     "DeviceError",
     "DirectLight",
+    "GlobalIllumination",
     "Image",
     "Integrals",
     "Integrand",
     "IntegrandError",
+    "Material",
     "Network",
     "NetworkError",
     "Scene",
@@ -38,5 +41,6 @@ __all__ = [
     "integrate",
     "load_scene",
     "render",
+    "render_split",
     "subdivide",
 ]

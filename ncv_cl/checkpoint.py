@@ -13,6 +13,7 @@ import numpy as np
 
 from .density import DensityNetwork
 from .estimate import Estimate
+from .guide import Guide
 from .network import Network
 
 
@@ -44,6 +45,8 @@ class Checkpoint:
         The control variate's coefficients.
     parts : list of ndarray
         As `Estimation` keeps them.
+    guide : Guide, optional
+        What guides paths.
     """
 
     identity: dict[str, object]
@@ -56,6 +59,7 @@ class Checkpoint:
     prediction: dict[str, object] | None
     alpha: np.ndarray | None
     parts: list[np.ndarray]
+    guide: Guide | None
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
@@ -72,6 +76,8 @@ class Checkpoint:
             }
         if self.alpha is not None:
             arrays["alpha"] = self.alpha
+        if self.guide is not None:
+            arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
         about = {
             "identity": self.identity,
             "method": self.method,
@@ -128,6 +134,9 @@ class Checkpoint:
             about["prediction"],
             arrays.get("alpha"),
             [arrays[name] for name in ("part0", "part1") if name in arrays],
+            Guide(*(arrays[f"guide_{name}"] for name in Guide._fields))
+            if "guide_means" in arrays
+            else None,
         )
 
     def check(self, identity: dict[str, object]) -> None:

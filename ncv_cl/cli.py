@@ -17,7 +17,7 @@ import numpy as np
 from .choose import devices
 from .device import DeviceError
 from .image import check_output_path, read_reference
-from .integrands import INTEGRANDS, AmbientOcclusion, Integrand
+from .integrands import INTEGRANDS, AmbientOcclusion, GlobalIllumination, Integrand
 from .integrands.ao import MAPPINGS
 from .integrate import integrate
 from .integrator import METHODS as INTEGRATION_METHODS
@@ -28,6 +28,7 @@ from .report import package_version
 from .sampler import SAMPLERS
 from .scene import load_scene
 from .settings import ALLOCATIONS, DENSITIES, METHODS, VISIBILITIES
+from .split import render_split
 from .subdivide import draw_subdivision, subdivide
 
 # Beside the package in a checkout and in an editable install.
@@ -116,6 +117,15 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         default="height",
         help="ambient occlusion: hemisphere mapping",
     )
+    add(
+        "--max-depth", type=int, metavar="D", help="global illumination: most edges of a path, 2: direct"
+    )
+    add(
+        "--split-direct",
+        action="store_true",
+        help="global illumination: direct light as an integral of its own",
+    )
+    add("--clamp", type=float, metavar="L", help="global illumination: most that a path brings (biased)")
     add(
         "-o",
         "--output",
@@ -239,6 +249,8 @@ def _train_spp(text: str) -> float | str:
 def _integrand(options: argparse.Namespace) -> Integrand:
     if options.integrand == AmbientOcclusion.name:
         return AmbientOcclusion(options.radius, options.mapping)
+    if options.integrand == GlobalIllumination.name:
+        return GlobalIllumination(options.max_depth, clamp=options.clamp)
     return INTEGRANDS[options.integrand]()
 
 
@@ -268,7 +280,7 @@ def _render(options: argparse.Namespace) -> int:
     width, height = options.size
     reference = read_reference(options.reference, (height, width)) if options.reference else None
     stop = _StopOnInterrupt()
-    image = render(
+    image = (render_split if options.split_direct else render)(
         load_scene(options.scene),
         _integrand(options),
         method=options.method,

@@ -59,6 +59,8 @@ class ShadingPoints:
         Sub-pixels whose camera ray hit nothing.
     dark : int
         Points that `without_last` took out, since their integral is zero.
+    material : ndarray, optional
+        int32 (total,), index of the material of each point.
     """
 
     surface: HostArray
@@ -67,6 +69,7 @@ class ShadingPoints:
     active: int
     background: int
     dark: int = 0
+    material: np.ndarray | None = None
 
     @property
     def total(self) -> int:
@@ -88,7 +91,10 @@ class ShadingPoints:
         with self.surface.mapped() as old, surface.mapped(write=True) as new:
             for row, values in zip(new, old, strict=True):
                 np.take(values, order, out=row)
-        return replace(self, surface=surface, cell=self.cell[order], light=self.light[order])
+        material = None if self.material is None else self.material[order]
+        return replace(
+            self, surface=surface, cell=self.cell[order], light=self.light[order], material=material
+        )
 
     def without_last(self, dark: int) -> ShadingPoints:
         """The same points, the last `dark` active ones inactive."""
@@ -168,7 +174,8 @@ def find_points(
         surface,
     )
     device.queue.finish()
-    return ShadingPoints(surface, cell, light, active, cells - len(cell))
+    material = scene.triangle_material[hits.triangle[cell]]
+    return ShadingPoints(surface, cell, light, active, cells - len(cell), material=material)
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:
@@ -186,4 +193,5 @@ def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) 
         np.concatenate([hits.triangle for hits in found]),
         np.concatenate([hits.u for hits in found]),
         np.concatenate([hits.v for hits in found]),
+        np.concatenate([hits.distance for hits in found]),
     )

@@ -20,17 +20,25 @@ from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .estimation import Estimation
+from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .learn import Learned, learn, learn_alpha, learn_density
+from .learn import (
+    AUTO_TRAINING_SAMPLES,
+    TRAINING_PASS,
+    Learned,
+    learn,
+    learn_alpha,
+    learn_density,
+)
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
+from .paths import sample_source
 from .points import ShadingPoints, find_points
 from .presets import PRESETS
 from .report import identity, metadata, skips, statistics
 from .resolve import resolve_image
 from .sampler import Stream
-from .samples import SampleSource
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .shaft import Occluders
@@ -76,8 +84,8 @@ def render(
     ----------
     scene : Scene, str or Path
         A scene, or the path of its TOML file.
-    integrand : {"ao", "direct"} or Integrand
-        Ambient occlusion or direct light; an `Integrand` object carries options.
+    integrand : {"ao", "direct", "gi"} or Integrand
+        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options.
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or after a first pass of plain Monte Carlo whichever
         is predicted to reach the error of the latter sooner.
@@ -204,6 +212,7 @@ class _Rendering:
         # What was sampled before the estimate proper, and what was predicted from it.
         self.before: Estimate | None = None
         self.prediction: Prediction | None = None
+        self.guide: Guide | None = None
         self.points_done_twice = 0
         self.keep = _Keep(None, {}, None)
         with self.watch("scene"):
@@ -222,7 +231,7 @@ class _Rendering:
         if settings.integrand.to_lights and settings.visibility == "auto" and self.points.active:
             with self.watch("shafts"):
                 occluders = Occluders(device, scene, self.points, settings.integrand)
-        self.source = SampleSource(
+        self.source = sample_source(
             device,
             scene,
             self.tracer,
@@ -255,6 +264,9 @@ class _Rendering:
         if resumed is not None:
             self.before = resumed.before
             self.prediction = Prediction(**resumed.prediction) if resumed.prediction else None
+            if resumed.guide is not None:
+                self.guide = resumed.guide
+                self.source.use_guide(resumed.guide)
         elif settings.method == "auto" and points.active and network is None and save_network is None:
             # Who wants a network gets one; else the first pass decides.
             begun = self._begin_plain()
@@ -340,6 +352,9 @@ class _Rendering:
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         learned = None
         if network is None:
+            guided = settings.guides
+            if guided:
+                self.source.record_guide()
             learned = learn(
                 device,
                 GridCube.around(self.scene.bounds),
@@ -351,6 +366,9 @@ class _Rendering:
                 self.stop,
             )
             network = learned.network
+            if guided:
+                with self.watch("guide"):
+                    self.guide = self.source.learn_guide()
             # The first pass of "auto" has more samples than training.
             self.before = self.before or learned.estimate
         else:
@@ -450,7 +468,21 @@ class _Rendering:
         estimation.passes.run("first pass", self.progress, last=1)
         seconds = time.perf_counter() - started
         first = estimation.first_estimate()
-        self.prediction = predict(self.device, first, estimation.differences(), seconds, settings.spp)
+        training = 0.0
+        if settings.guides:
+            chosen, samples = settings.training_points(
+                self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
+            )
+            training = len(chosen) * samples / self.points.active
+        self.prediction = predict(
+            self.device,
+            first,
+            estimation.differences(),
+            seconds,
+            settings.spp,
+            settings.guides,
+            training,
+        )
         if self.prediction.method == "ncv":
             self.before = estimation.results()[0]
         return estimation
@@ -493,4 +525,5 @@ class _Rendering:
                 self.prediction.as_dict() if self.prediction else None,
                 variate.alpha if variate else None,
                 estimation.parts,
+                self.guide,
             ).save(self.keep.path)

@@ -115,4 +115,6 @@ def metadata(
         "supersample": settings.supersample,
         "seed": settings.seed,
         "device": device.identity,
+        # Options of the integrand; without an entry: none.
+        **{name: value for name, value in vars(settings.integrand).items() if value is not None},
     }

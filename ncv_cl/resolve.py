@@ -118,6 +118,10 @@ def resolve_image(
         emitted = np.zeros((3, points.total), np.float32)
         emitted[:, lit] = integrand.emitted(scene, points.light[lit], outgoing[:, lit]).T
         pixels += grid.average(emitted, everything)
+    if points.material is not None:
+        glow = integrand.glow(scene, points.material)
+        if glow.any():
+            pixels += grid.average(glow.T, everything)
 
     layers = {
         "albedo": grid.average(points.rows("albedo"), everything),

@@ -188,11 +188,12 @@ def _read_materials(root: Table) -> list[Material]:
     materials = []
     for name, data in names.items():
         where = f"materials.{name}"
-        table = Table(root.file, where, data, ("albedo", "reflectance", "roughness"))
+        table = Table(root.file, where, data, ("albedo", "reflectance", "roughness", "emission"))
         albedo = table.colour("albedo", high=1.0)
         reflectance = table.colour("reflectance", default=0.0, high=1.0)
         roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
-        materials.append(Material(name, albedo, reflectance, roughness))
+        emission = table.colour("emission", default=0.0)
+        materials.append(Material(name, albedo, reflectance, roughness, emission))
     return materials
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -45,12 +45,15 @@ class Material:
         Specular reflectance at normal incidence in [0, 1]; 0 means no specular lobe.
     roughness : float
         In [0.01, 1]; the GGX alpha is roughness**2.
+    emission : float32 (3,)
+        Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
     """
 
     name: str
     albedo: NDArray[np.float32]
     reflectance: NDArray[np.float32]
     roughness: float
+    emission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +142,12 @@ class Scene:
         digest = hashlib.sha256()
         for part in (self.camera, *self.materials, *self.lights, self):
             digest.update(type(part).__name__.encode())
-            for field in fields(part):
-                value = getattr(part, field.name)
+            for entry in fields(part):
+                value = getattr(part, entry.name)
                 if isinstance(value, (float, np.ndarray)):
                     array = np.asarray(value)
-                    digest.update(f"{field.name}{array.dtype}{array.shape}".encode())
+                    digest.update(f"{entry.name}{array.dtype}{array.shape}".encode())
                     digest.update(array.tobytes())
                 elif isinstance(value, bool):
-                    digest.update(f"{field.name}{value}".encode())
+                    digest.update(f"{entry.name}{value}".encode())
         return digest.hexdigest()

@@ -113,6 +113,12 @@ class RenderSettings:
         chosen = self.allocation or ("magnitude" if PRESETS[self.preset].density else "uniform")
         return self.method != "mc" and chosen == "magnitude"
 
+    @property
+    def guides(self) -> bool:
+        """Whether training also learns where light comes from, for paths behind the first bounce."""
+        integrand = self.integrand
+        return integrand.nested and integrand.guided and PRESETS[self.preset].density
+
     def training_points(
         self, active: int, samples_a_point: int, auto_samples: int
     ) -> tuple[np.ndarray, int]:

@@ -14,16 +14,20 @@ from embreex.mesh_construction import TriangleMesh
 from .scene import Scene
 
 # Rays a task; small enough to balance threads, large enough to hide the call.
-CHUNK = 1 << 15
+CHUNK = 1 << 14
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Closest hits: triangle index (-1 for none) and barycentric u, v of corners 1 and 2."""
+    """Closest hits: triangle index (-1 for none), barycentric u, v of corners 1 and 2, and distance.
+
+    The distance is in multiples of the ray's direction.
+    """
 
     triangle: np.ndarray
     u: np.ndarray
     v: np.ndarray
+    distance: np.ndarray
 
 
 class Tracer:
@@ -49,19 +53,20 @@ class Tracer:
         ray = np.zeros((1, 3), np.float32)
         self._scene.run(ray, ray + np.float32(1.0))
 
-    def closest(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
-        """The closest hit of each ray; `origins` and `directions` are float32 (rays, 3)."""
-        hits = Hits(
-            np.empty(len(origins), np.int32),
-            np.empty(len(origins), np.float32),
-            np.empty(len(origins), np.float32),
-        )
+    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
+        """The closest hit of each ray; `origins` and `directions` are float32 (rays, 3).
+
+        Written to `out` where that is given: int32 and three times float32 (rays,).
+        """
+        kinds = (np.int32, np.float32, np.float32, np.float32)
+        hits = out or Hits(*(np.empty(len(origins), kind) for kind in kinds))
 
         def trace(part: slice) -> None:
             found = self._scene.run(origins[part], directions[part], output=True)
             hits.triangle[part] = found["primID"]
             hits.u[part] = found["u"]
             hits.v[part] = found["v"]
+            hits.distance[part] = found["tfar"]
 
         self._in_chunks(len(origins), trace)
         return hits

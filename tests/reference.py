@@ -9,13 +9,14 @@ from ncv_cl.device import Device
 from ncv_cl.estimate import Estimator
 from ncv_cl.image import Image
 from ncv_cl.integrands import Integrand
+from ncv_cl.paths import sample_source
 from ncv_cl.points import ShadingPoints, find_points
 from ncv_cl.program import Kernel, device_defines, option_list, source
 from ncv_cl.resolve import resolve_image
 from ncv_cl.samples import SEEN, Batch, SampleSource
 from ncv_cl.scene import Camera, Material, QuadLight, Scene
 from ncv_cl.shaft import Occluders
-from ncv_cl.trace import Tracer
+from ncv_cl.trace import Hits, Tracer
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -258,6 +259,9 @@ class RayRecorder:
         self.origins, self.directions = origins.copy(), directions.copy()
         self.distances, self.answers = distances.copy(), out.copy()
 
+    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
+        return self.tracer.closest(origins, directions, out)
+
 
 def sampling(
     device: Device,
@@ -273,7 +277,7 @@ def sampling(
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
     occluders = Occluders(device, scene, points, integrand) if with_occluders else None
-    samples_of = SampleSource(
+    samples_of = sample_source(
         device, scene, recorder, points, integrand, sampler, seed, samples, occluders
     )
     return points, samples_of, recorder

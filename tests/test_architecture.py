@@ -25,6 +25,8 @@ ORDER = (
     "integrands",
     "shaft",
     "encode samples",
+    "guide",
+    "paths",
     "network",
     "probe",
     "choose",
@@ -35,6 +37,7 @@ ORDER = (
     "estimation variate",
     "custom",
     "render",
+    "split",
     "cli __init__",
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
@@ -62,7 +65,8 @@ USERS = {
         "resolve",
     },
     "resolve": {"custom", "render"},
-    "render": {"cli", "__init__"},
+    "render": {"cli", "split", "__init__"},
+    "split": {"cli", "__init__"},
     "cli": set(),
 }
 # A floating-point literal without an f.

@@ -17,9 +17,11 @@ kernel void bare_scattering(const uint count, global const float *surface, globa
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const ShadingPoint p = load_shading_point(surface, 1u, 0u);
+  const Scatterer s = scatterer_of(&p);
+  const triple towards = {LOAD(incident + first), LOAD(incident + count + first),
+                          LOAD(incident + 2 * count + first)};
   real f_r[3];
-  scattering(&p, LOAD(incident + first), LOAD(incident + count + first),
-             LOAD(incident + 2 * count + first), f_r);
+  scattering(&s, towards, f_r);
   for (int channel = 0; channel < 3; ++channel) STORE(f_r[channel], result + channel * count + first);
 }
 """

@@ -12,7 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ncv_cl import AmbientOcclusion, DirectLight, estimate, integrate, program, render
+from ncv_cl import (
+    AmbientOcclusion,
+    DirectLight,
+    GlobalIllumination,
+    estimate,
+    integrate,
+    program,
+    render,
+)
 from ncv_cl.device import GPU_LANES, Device, open_device
 from ncv_cl.integrator import AREA_TOLERANCE
 from ncv_cl.presets import PRESETS
@@ -52,6 +60,16 @@ edge2 = [0, 0, 1]
 radiance = [3, 2, 1]
 """
 )
+# No light, and a surface that emits; a sphere has normals of its own.
+GLOWING = (
+    MATTE[: MATTE.index("[[lights]]")].replace("[[quads]]", "emission = 2\n[[quads]]")
+    + """
+[[spheres]]
+center = [0, 1, 0]
+radius = 0.5
+material = "floor"
+"""
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CLANG is None, reason="clang is not installed")]
 
@@ -63,6 +81,10 @@ def render_everything(device: Device, folder: Path) -> None:
         (GLOSSY, DirectLight()),
         (MATTE, AmbientOcclusion(mapping="height")),
         (MATTE, AmbientOcclusion(mapping="cosine")),
+        (MATTE, GlobalIllumination()),
+        (GLOSSY, GlobalIllumination(3)),
+        (MATTE, GlobalIllumination(2, direct=False)),
+        (GLOWING, GlobalIllumination(4)),
     ]
     options = zip(itertools.cycle(SAMPLERS), itertools.cycle(sorted(PRESETS)), strict=True)
     for (text, integrand), (sampler, preset) in zip(cases, options, strict=False):

@@ -149,3 +149,39 @@ def test_unknown_sampler_is_refused_with_the_choices(one_device):
 def test_no_points_give_no_samples(device):
     u, v = square_samples(device, "sobol", range(0), range(5), 0)
     assert u.shape == v.shape == (0, 5)
+
+
+NESTED_KERNEL = """
+kernel void nested(const uint count, const uint bounce, global float *result) {
+  const uint first = (uint)get_global_id(0) * VEC;
+  if (first >= count) return;
+  real coordinates[5];
+  sample_nested((bits)7, LANE_NUMBER + first, 0u, bounce, 1u, 2u, coordinates);
+  for (uint row = 0; row < 5; ++row) STORE(coordinates[row], result + row * count + first);
+}
+"""
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_coordinates_of_bounces_are_uniform_and_independent(device, sampler):
+    count, bounces = 1024, 6
+    kernel = bare_kernel(
+        device, ("common", "sampler"), sampler_defines(sampler), NESTED_KERNEL, "nested"
+    )
+    result = HostArray(device, (5, count), np.float32)
+    found = []
+    for bounce in range(1, bounces + 1):
+        kernel(count // device.vector_width, count, bounce, result)
+        found.append(result.read())
+    coordinates = np.concatenate(found)
+    assert (coordinates >= 0).all() and (coordinates < 1).all()
+    for row in coordinates:
+        assert stats.kstest(row, "uniform").pvalue > 1e-4
+    if sampler == "sobol":
+        # Each pair is a net: one point in each of 32 x 32 cells.
+        for pair in range(0, 4, 2):
+            cells = (found[0][pair : pair + 2] * 32).astype(int)
+            assert len(set(map(tuple, cells.T))) == count
+    # No two of different pairs go together: correlations stay within their deviations.
+    correlation = np.corrcoef(coordinates)[np.triu_indices(len(coordinates), 1)]
+    assert np.abs(correlation).max() < 5.5 / np.sqrt(count)

@@ -34,6 +34,8 @@ class Integrand(ABC):
     """Whether points on area lights have an integral of their own."""
     to_lights: ClassVar[bool] = False
     """Whether every ray ends on an area light, and ``data`` begins with the lights' records."""
+    nested: ClassVar[bool] = False
+    """Whether f is itself estimated, by paths (`paths.PathSource`)."""
 
     @abstractmethod
     def data(self, scene: Scene) -> np.ndarray:
@@ -66,3 +68,13 @@ class Integrand(ABC):
             float32 (3, points), unit directions towards the viewer.
         """
         return np.zeros((len(light), 3), np.float32)
+
+    def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
+        """What surfaces add by themselves, float32 (points, 3).
+
+        Parameters
+        ----------
+        material : ndarray
+            int32 (points,), index of each point's material.
+        """
+        return np.zeros((len(material), 3), np.float32)

@@ -8,7 +8,7 @@ from ..points import RELATIVE_OFFSET
 from ..scene import QuadLight, Scene
 from .base import Integrand, IntegrandError
 
-LIGHT_FLOATS = 19
+LIGHT_FLOATS = 20
 
 
 class DirectLight(Integrand):
@@ -19,7 +19,7 @@ class DirectLight(Integrand):
     """
 
     name = "direct"
-    files = ("bsdf", "direct")
+    files = ("bsdf", "lights", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
@@ -28,23 +28,11 @@ class DirectLight(Integrand):
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)
-        widths = strip_widths(scene.lights)
-        firsts = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
-        return np.concatenate(
-            [
-                _light_record(light, first, width)
-                for light, first, width in zip(scene.lights, firsts, widths, strict=True)
-            ]
-        )
+        return light_records(scene.lights)
 
     def defines(self, scene: Scene) -> dict[str, int]:
         self._check(scene)
-        return {
-            "LIGHT_COUNT": len(scene.lights),
-            "LIGHT_FLOATS": LIGHT_FLOATS,
-            "CHANNELS": self.channels,
-            "HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials)),
-        }
+        return {"CHANNELS": self.channels, **light_defines(scene), **scattering_defines(scene)}
 
     def dark(self, scene: Scene, position: np.ndarray, normals: tuple[np.ndarray, ...]) -> np.ndarray:
         # Cosines times distances are affine on a light, so their signs at its corners decide. They are
@@ -64,11 +52,7 @@ class DirectLight(Integrand):
         return dark
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        radiance = np.array([one.radiance for one in scene.lights], np.float32)
-        normals = np.array([one.normal for one in scene.lights], np.float32)
-        two_sided = np.array([one.two_sided for one in scene.lights])
-        front = np.einsum("pi,ip->p", normals[light], outgoing) > 0
-        return radiance[light] * (front | two_sided[light])[:, None]
+        return emitted_by_lights(scene, light, outgoing)
 
     @staticmethod
     def _check(scene: Scene) -> None:
@@ -77,6 +61,45 @@ class DirectLight(Integrand):
                 f"{scene.name} has no light, so direct light is zero everywhere: "
                 "add a [[lights]] entry to the scene, or render ambient occlusion"
             )
+        for material in scene.materials:
+            if material.emission.any():
+                raise IntegrandError(
+                    f"{scene.name}: material {material.name!r} emits, but direct light is that of "
+                    "[[lights]] only: render integrand gi, which finds it, or take its emission away"
+                )
+
+
+def light_records(lights: tuple[QuadLight, ...]) -> np.ndarray:
+    """What lights.cl reads of the lights, float32 (lights * LIGHT_FLOATS,)."""
+    if not lights:
+        return np.zeros(0, np.float32)
+    widths = strip_widths(lights)
+    firsts = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
+    return np.concatenate(
+        [
+            _light_record(light, first, width)
+            for light, first, width in zip(lights, firsts, widths, strict=True)
+        ]
+    )
+
+
+def light_defines(scene: Scene) -> dict[str, int]:
+    """The `-D` constants of lights.cl."""
+    return {"LIGHT_COUNT": len(scene.lights), "LIGHT_FLOATS": LIGHT_FLOATS}
+
+
+def scattering_defines(scene: Scene) -> dict[str, int]:
+    """The `-D` constants of bsdf.cl and bounce.cl."""
+    return {"HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials))}
+
+
+def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """As `Integrand.emitted`, for area lights."""
+    radiance = np.array([one.radiance for one in scene.lights], np.float32)
+    normals = np.array([one.normal for one in scene.lights], np.float32)
+    two_sided = np.array([one.two_sided for one in scene.lights])
+    front = np.einsum("pi,ip->p", normals[light], outgoing) > 0
+    return radiance[light] * (front | two_sided[light])[:, None]
 
 
 def strip_widths(lights: tuple[QuadLight, ...]) -> np.ndarray:
@@ -107,5 +130,6 @@ def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
         width,
         float(light.two_sided),
         offset,
+        width / light.area,
     ]
     return np.array(record, np.float32)

@@ -1,0 +1,268 @@
+"""Global illumination: throughput of paths, the slides' finding, and time to equal error.
+
+1. Throughput: rays a second of plain path tracing, all in, beside what embreex alone reaches on the same
+   rays: they are recorded, and traced again by the same threads in the same chunks.
+2. The slides' finding, as a table: the slides' network learns the field of radiance and yet brings
+   nothing, since the residual keeps the noise of the nested estimate. That noise is measured by
+   estimating each sample twice, with the same (u, v) and other paths.
+3. What lowers it, one thing at a time, at equal samples: mean square error, rays, and their product.
+4. Seconds that "ncv" and "auto" take to the error of plain Monte Carlo with Sobol points.
+
+Mean square errors are halved squared differences of two renders with different seeds, which needs no
+reference. Before anything is timed, plain Monte Carlo and the control variate are tested to agree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+import ncv_cl as ncv
+from ncv_cl.choose import choose_device
+from ncv_cl.device import Device
+from ncv_cl.encode import GridCube, varying_inputs
+from ncv_cl.estimate import Estimator
+from ncv_cl.integrands import GlobalIllumination
+from ncv_cl.learn import learn
+from ncv_cl.network import FoldedNetwork
+from ncv_cl.paths import PathSource
+from ncv_cl.points import find_points
+from ncv_cl.sampler import Stream
+from ncv_cl.settings import RenderSettings, Stopwatch
+from ncv_cl.split import render_split
+from ncv_cl.trace import Hits, Tracer
+
+SCENES = Path(__file__).parent.parent / "scenes"
+NAMES = ("cornell_box", "interior")
+VARIANTS = {
+    "Sobol": {"method": "mc"},
+    "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
+    "slides": {"method": "ncv", "preset": "slides", "train_spp": 16},
+    "ncv, unguided": {"method": "ncv", "guided": False},
+    "ncv, uniform": {"method": "ncv", "density": "none", "allocation": "uniform"},
+    "ncv, density": {"method": "ncv", "allocation": "uniform"},
+    "ncv, allocation": {"method": "ncv", "density": "none"},
+    "ncv": {"method": "ncv"},
+    "ncv, split direct": {"method": "ncv", "split": True},
+}
+
+
+class Recorder:
+    """Stands where a `Tracer` stands, and keeps the rays it was asked for."""
+
+    def __init__(self, tracer: Tracer) -> None:
+        self._tracer = tracer
+        self.closest_rays: list[tuple[np.ndarray, np.ndarray]] = []
+        self.shadow_rays: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
+        self.closest_rays.append((origins.copy(), directions.copy()))
+        return self._tracer.closest(origins, directions, out)
+
+    def visible(self, *arrays: np.ndarray) -> None:
+        self.shadow_rays.append(tuple(one.copy() for one in arrays[:3]))
+        self._tracer.visible(*arrays)
+
+
+class Case:
+    """A scene at one size."""
+
+    def __init__(self, device: Device, name: str, size: int) -> None:
+        self.device, self.size = device, (size, size)
+        self.scene = ncv.load_scene(SCENES / f"{name}.toml")
+
+    def render(
+        self, spp: int, seed: int, split: bool = False, guided: bool = True, **options: object
+    ) -> ncv.Image:
+        integrand = GlobalIllumination(guided=guided)
+        return (render_split if split else ncv.render)(
+            self.scene, integrand, spp=spp, size=self.size, seed=seed, device=self.device,
+            **options,
+        )  # fmt: skip
+
+    def source(self, tracer: Tracer | Recorder, sampler: str, samples: int) -> PathSource:
+        points = find_points(self.device, self.scene, Tracer(self.scene), *self.size)
+        integrand = GlobalIllumination()
+        return PathSource(self.device, self.scene, tracer, points, integrand, sampler, 1, samples)
+
+    def validate(self) -> None:
+        """Plain Monte Carlo and the control variate agree, or nothing is timed."""
+        plain, other = self.render(32, 1, method="mc"), self.render(32, 2, method="ncv")
+        # Whole rows: single pixels' variances are estimates, too.
+        difference = (plain.pixels.astype(float) - other.pixels).mean(axis=(0, 1))
+        pixels = self.size[0] * self.size[1]
+        deviation = np.sqrt((plain.variance + other.variance).mean(axis=(0, 1)) / pixels)
+        if (np.abs(difference) > 6 * deviation).any():
+            raise SystemExit(
+                f"{self.scene.name}: mc and ncv disagree by {difference / deviation} deviations"
+            )
+
+    def error(self, spp: int, repeats: int = 1, **options: object) -> dict[str, float]:
+        """Mean square error, seconds, samples and rays a point of renders."""
+        images = [self.render(spp, 10 + k, **options) for k in range(2 * repeats)]
+        pairs = zip(images[::2], images[1::2], strict=True)
+        mse = np.mean([np.mean((a.pixels.astype(float) - b.pixels) ** 2) / 2 for a, b in pairs])
+        stats = [image.stats for image in images]
+        return {
+            "mse": float(mse),
+            "seconds": float(np.median([one["seconds"]["total"] for one in stats])),
+            "samples": float(np.mean([one["samples_per_point"] for one in stats])),
+            "rays": float(np.mean([one["rays_traced"] / one["points"] for one in stats])),
+        }
+
+
+def throughput(case: Case, samples: int, repeats: int = 3) -> dict[str, float]:
+    """Rays a second, all in, and of embreex alone on the same rays."""
+    tracer = Tracer(case.scene)
+    recorder = Recorder(tracer)
+    recorded = case.source(recorder, "sobol", samples)
+    for points in recorded.batches():
+        recorded.draw(points, range(samples), Stream.RESIDUAL)
+    source = case.source(tracer, "sobol", samples)
+    whole, alone = [], []
+    longest = max(len(rays[0]) for rays in recorder.closest_rays + recorder.shadow_rays)
+    hits = Hits(np.zeros(longest, np.int32), *(np.zeros(longest, np.float32) for _ in range(3)))
+    lit = np.zeros(longest, np.uint8)
+    for _ in range(repeats):
+        before, began = source.rays.traced, time.perf_counter()
+        for points in source.batches():
+            source.draw(points, range(samples), Stream.RESIDUAL)
+        whole.append(time.perf_counter() - began)
+        rays = source.rays.traced - before
+        began = time.perf_counter()
+        for origins, directions in recorder.closest_rays:
+            part = Hits(*(getattr(hits, n)[: len(origins)] for n in ("triangle", "u", "v", "distance")))
+            tracer.closest(origins, directions, part)
+        for origins, directions, distances in recorder.shadow_rays:
+            tracer.visible(origins, directions, distances, lit[: len(origins)])
+        alone.append(time.perf_counter() - began)
+    found = {
+        "rays": rays,
+        "million_rays_a_second": rays / min(whole) / 1e6,
+        "embreex_million_rays_a_second": rays / min(alone) / 1e6,
+    }
+    found["ratio"] = found["million_rays_a_second"] / found["embreex_million_rays_a_second"]
+    return found
+
+
+def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, float]:
+    """The slides' finding: errors of a trained network, and how much of them is nested noise.
+
+    All are means over points and channels of single, independent samples' squares.
+    """
+    tracer, device = Tracer(case.scene), case.device
+    integrand = GlobalIllumination()
+    settings = RenderSettings(
+        integrand, "ncv", "independent", samples, train_spp, case.size, 1, 1, preset
+    )
+    source = case.source(tracer, "independent", samples)
+    points = source.points
+    inputs = varying_inputs(points, integrand.inputs)
+    cube = GridCube.around(case.scene.bounds)
+    learned = learn(device, cube, source, settings, inputs, lambda _: None, Stopwatch(), lambda: False)
+    if learned.network is None:
+        raise SystemExit(f"{case.scene.name}: training diverged")
+    estimator = Estimator(device, points, 3, FoldedNetwork(device, learned.network, points))
+    noise = weight = 0.0
+    for part in source.batches():
+        first = source.draw(part, range(samples), Stream.RESIDUAL)
+        estimator.add(first)
+        count = len(part) * first.stride
+        once = first.value.read().ravel()[: 3 * count].astype(float)
+        # The same points of the square, other paths.
+        again = source.draw(part, range(samples), Stream.RESIDUAL, paths=Stream.CALIBRATION)
+        twice = again.value.read().ravel()[: 3 * count]
+        noise += float(((once - twice) ** 2).sum()) / 2
+        weight += 3 * len(part) * samples
+    estimator.finish_pass(samples)
+    plain, residual = estimator.result(0).variance.mean(), estimator.result(1)
+    nested = noise / weight
+    # E[(f − g)²] is the network's squared error plus the noise of f.
+    square = float((residual.variance + residual.mean**2).mean())
+    return {
+        "variance of f": float(plain),
+        "variance of f - g": float(residual.variance.mean()),
+        "nested noise": nested,
+        "share of f": nested / float(plain),
+        "share of f - g": nested / float(residual.variance.mean()),
+        "network error": square - nested,
+        "relative network error": (square - nested) / max(float(plain) - nested, 1e-30),
+    }
+
+
+def seconds_to(points: list[dict[str, float]], mse: float) -> float:
+    """Seconds to an error: both go as powers of the samples between and beyond two measured points."""
+    (first, second), log = points, np.log
+    slope = log(second["mse"] / first["mse"]) / log(second["samples"] / first["samples"])
+    samples = first["samples"] * (mse / first["mse"]) ** (1 / slope)
+    a_sample = (second["seconds"] - first["seconds"]) / (second["samples"] - first["samples"])
+    return max(first["seconds"] + a_sample * (samples - first["samples"]), 0.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small images and few samples")
+    parser.add_argument("--size", type=int, help="pixels a side (default 256; quick: 32)")
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args()
+    device = choose_device(options.device)
+    size = options.size or (32 if options.quick else 256)
+    spps = (16, 64) if options.quick else (128, 512)
+    print(f"{device.identity}\n{size} x {size} points")
+    results = {}
+    for name in NAMES:
+        case = Case(device, name, size)
+        case.validate()
+        print(f"{name}: mc and ncv agree", flush=True)
+        results[name] = measure(case, spps, options.quick, options.repeats)
+    if options.json:
+        text = json.dumps({"device": device.identity, "size": size, "cases": results}, indent=1)
+        Path(options.json).write_text(text + "\n", encoding="utf-8")
+
+
+def measure(case: Case, spps: tuple[int, int], quick: bool, repeats: int) -> dict[str, object]:
+    speed = throughput(case, 8 if quick else 16)
+    print(
+        f"  paths {speed['million_rays_a_second']:.2f} M rays a second, embreex alone "
+        f"{speed['embreex_million_rays_a_second']:.2f}: {speed['ratio']:.3f}", flush=True,
+    )  # fmt: skip
+    findings = {}
+    for preset in ("slides", "default"):
+        findings[preset] = finding(case, 4 if quick else 64, preset, 16)
+        print(
+            f"  {preset}: " + ", ".join(f"{k} {v:.4g}" for k, v in findings[preset].items()), flush=True
+        )
+    runs = {}
+    for name, options in VARIANTS.items():
+        # Kernels are compiled outside the clock.
+        case.render(8, 1, **options)
+        runs[name] = [case.error(spp, repeats, **options) for spp in spps]
+        last, base = runs[name][-1], runs["Sobol"][-1]
+        gain = base["mse"] * base["samples"] / (last["mse"] * last["samples"])
+        by_rays = base["mse"] * base["rays"] / (last["mse"] * last["rays"])
+        print(
+            f"  {name:24} MSE {last['mse']:.3e} of {last['samples']:.0f} samples, {last['rays']:.0f} "
+            f"rays, {last['seconds']:.2f} s; less variance by {gain:.2f} at equal samples, "
+            f"{by_rays:.2f} at equal rays", flush=True,
+        )  # fmt: skip
+    case.render(max(8, spps[0] // 8), 1, method="auto")
+    runs["auto"] = [case.error(spp, repeats, method="auto") for spp in spps]
+    target = runs["Sobol"][-1]
+    speedups = {}
+    for name in ("ncv", "ncv, split direct", "auto"):
+        speedups[name] = target["seconds"] / max(seconds_to(runs[name], target["mse"]), 1e-9)
+    print(
+        f"  error of {spps[-1]} Sobol samples, {target['seconds']:.2f} s; seconds of Sobol over seconds "
+        "of: " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in speedups.items()), flush=True,
+    )  # fmt: skip
+    return {"throughput": speed, "finding": findings, "runs": runs, "speedups": speedups}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,116 @@
+/* Directions of the hemisphere by the surface's scattering, VEC at a time, and their density.
+ *
+ * A point of the unit square becomes a direction of the mixture
+ *
+ *   q D G1(o) / (4 cos_o) + (1 - q) cos_i / pi
+ *
+ * of GGX's visible normals, reflected (Heitz 2018; sampled by a spherical cap, Dupuy and Benyoub 2023), and
+ * cosines: u < q picks the lobe, and what is left of u is stretched. q, the lobe's share, is 0 without
+ * reflectance and follows the two reflectances otherwise. Cosines come from the disc by Shirley's and
+ * Chiu's concentric map (1997), which keeps neighbours of the square neighbours on the hemisphere.
+ *
+ * Work-group contract: none; pure functions of private values.
+ */
+
+/* tangent_frame, a frame a lane. */
+void triple_frame(const triple n, triple *tangent, triple *bitangent) {
+  const real sign = copysign((real)1.0f, n.z);
+  const real a = -1.0f / (sign + n.z);
+  const real b = n.x * n.y * a;
+  *tangent = (triple){1.0f + sign * n.x * n.x * a, sign * b, -sign * n.x};
+  *bitangent = (triple){b, sign + n.y * n.y * a, -n.y};
+}
+
+/* x tangent + y bitangent + z normal. */
+triple from_frame(const triple n, const real x, const real y, const real z) {
+  triple tangent, bitangent;
+  triple_frame(n, &tangent, &bitangent);
+  return (triple){x * tangent.x + y * bitangent.x + z * n.x, x * tangent.y + y * bitangent.y + z * n.y,
+                  x * tangent.z + y * bitangent.z + z * n.z};
+}
+
+/* Radius and azimuth on the unit disc, of equal areas. */
+void concentric(const real u, const real v, real *radius, real *azimuth) {
+  const real a = 2.0f * u - 1.0f;
+  const real b = 2.0f * v - 1.0f;
+  const whole wide = fabs(a) > fabs(b);
+  const real major = SELECT(b, a, wide);
+  const real ratio = SELECT(a, b, wide) / SELECT(major, (real)1.0f, major == 0.0f);
+  *radius = major;
+  *azimuth = SELECT(0.5f * M_PI_F - 0.25f * M_PI_F * ratio, 0.25f * M_PI_F * ratio, wide);
+}
+
+#if HAS_SPECULAR
+/* q, the share of directions that the lobe gives. */
+real lobe_share(const Scatterer *s) {
+  const real weight = schlick_weight(dot_triple(s->normal, s->outgoing));
+  const real f0 = (s->reflectance.x + s->reflectance.y + s->reflectance.z) * (1.0f / 3.0f);
+  const real lobe = f0 + (1.0f - f0) * weight;
+  const real matte = (s->albedo.x + s->albedo.y + s->albedo.z) * (1.0f / 3.0f) * (1.0f - lobe);
+  return SELECT((real)0.0f, clamp(lobe / (lobe + matte), (real)0.1f, (real)0.9f), f0 > 0.0f);
+}
+
+/* A point of the sphere's cap that visible normals, stretched to a hemisphere, come from; then the reflection. */
+triple reflect_lobe(const Scatterer *s, const triple o, const real height, const real sine, const real cosine_a,
+                    const real sine_a) {
+  const real alpha = s->roughness * s->roughness;
+  const real inverse = rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
+  const real x = alpha * (sine * cosine_a + alpha * o.x * inverse);
+  const real y = alpha * (sine * sine_a + alpha * o.y * inverse);
+  const real z = max(height + o.z * inverse, (real)1e-20f);
+  const real unit = rsqrt(x * x + y * y + z * z);
+  const real twice = 2.0f * (o.x * x + o.y * y + o.z * z) * unit * unit;
+  return (triple){twice * x - o.x, twice * y - o.y, twice * z - o.z};
+}
+#endif
+
+/* Density of a unit direction, per solid angle. */
+real scattering_density(const Scatterer *s, const triple incident) {
+  const real matte = max(dot_triple(s->normal, incident), (real)0.0f) * M_1_PI_F;
+#if HAS_SPECULAR
+  const real share = lobe_share(s);
+  const triple sum = {incident.x + s->outgoing.x, incident.y + s->outgoing.y, incident.z + s->outgoing.z};
+  const real inverse = rsqrt(max(dot_triple(sum, sum), (real)1e-20f));
+  const real cosine_o = max(dot_triple(s->normal, s->outgoing), (real)1e-6f);
+  const real lobe = microfacet_density(s, sum, inverse) * 0.5f / (cosine_o + masking(s, (real)1.0f, cosine_o));
+  return matte + share * (lobe - matte);
+#else
+  return matte;
+#endif
+}
+
+/* The direction of a point of the unit square; may lie below the surface, where the scattering is zero. */
+triple sample_scattering(const Scatterer *s, const real u, const real v) {
+#if HAS_SPECULAR
+  const real share = lobe_share(s);
+  const whole in_lobe = u < share;
+  const real along = SELECT((u - share) / (1.0f - share), u / max(share, (real)1e-30f), in_lobe);
+#else
+  const real along = u;
+#endif
+  real radius, azimuth;
+  concentric(along, v, &radius, &azimuth);
+#if HAS_SPECULAR
+  /* The cap reaches from the pole down to the direction opposite to the viewer's, stretched. */
+  triple tangent, bitangent;
+  triple_frame(s->normal, &tangent, &bitangent);
+  const triple o = {dot_triple(tangent, s->outgoing), dot_triple(bitangent, s->outgoing),
+                    max(dot_triple(s->normal, s->outgoing), (real)1e-6f)};
+  const real alpha = s->roughness * s->roughness;
+  const real stretched = o.z * rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
+  const real height = (1.0f - v) * (1.0f + stretched) - stretched;
+  azimuth = SELECT(azimuth, 2.0f * M_PI_F * along, in_lobe);
+#endif
+  real cosine;
+  const real sine = sincos(azimuth, &cosine);
+  const real z = sqrt(max((real)0.0f, FMA(-radius, radius, (real)1.0f)));
+  const triple matte = {radius * cosine, radius * sine, z};
+#if HAS_SPECULAR
+  const real sine_h = sqrt(max((real)0.0f, FMA(-height, height, (real)1.0f)));
+  const triple lobe = reflect_lobe(s, o, height, sine_h, cosine, sine);
+  return from_frame(s->normal, SELECT(matte.x, lobe.x, in_lobe), SELECT(matte.y, lobe.y, in_lobe),
+                    SELECT(matte.z, lobe.z, in_lobe));
+#else
+  return from_frame(s->normal, matte.x, matte.y, matte.z);
+#endif
+}

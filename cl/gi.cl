@@ -1,0 +1,42 @@
+/* Global illumination, the part that one ray decides: direct light, as in direct.cl.
+ *
+ * (u, v) is at once a point on a light (lights.cl, whose records are the integrand_data) and, in paths.cl, the
+ * direction of the first bounce: the sum of two integrals over one square is one integral. Where the surface
+ * has a lobe, light is found in both ways, each weighted by the balance heuristic (Veach 1997); elsewhere by its
+ * points alone. Without DIRECT nothing is left here.
+ *
+ * Work-group contract: none; pure functions of private values.
+ */
+
+void evaluate_integrand(const ShadingPoint *p, global const float *restrict integrand_data, const real u,
+                        const real v, real value[CHANNELS], real direction[3], real *distance) {
+  *distance = (real)1.0f;
+#if DIRECT
+  const Scatterer s = scatterer_of(p);
+  const LightSample light =
+      sample_lights(integrand_data, to_triple(p->position), to_triple(ray_origin(p)), u, v);
+  const real cosine = dot_triple(s.normal, light.towards);
+  const whole lit =
+      light.lit && (cosine > 0.0f) && (dot_triple(to_triple(p->geometric_normal), light.towards) > 0.0f);
+  real f_r[3];
+  scattering(&s, light.towards, f_r);
+  real scale = cosine;
+#if HAS_SPECULAR
+  const whole shiny = s.reflectance.x + s.reflectance.y + s.reflectance.z > 0.0f;
+  const real weight = light.density / (light.density + scattering_density(&s, light.towards));
+  scale *= SELECT((real)1.0f, weight, shiny);
+#endif
+  for (int channel = 0; channel < CHANNELS; ++channel)
+    value[channel] = SELECT((real)0.0f, f_r[channel] * scale * light.radiance[channel], lit);
+  direction[0] = light.segment.x;
+  direction[1] = light.segment.y;
+  direction[2] = light.segment.z;
+#else
+  (void)p;
+  (void)integrand_data;
+  (void)u;
+  (void)v;
+  for (int channel = 0; channel < CHANNELS; ++channel) value[channel] = (real)0.0f;
+  for (int axis = 0; axis < 3; ++axis) direction[axis] = (real)0.0f;
+#endif
+}

@@ -1,0 +1,364 @@
+/* Paths behind the first bounce, a wavefront at a time: kernels between the rays that the host traces.
+ *
+ *   begin_paths   (u, v) of a batch's samples to the first ray of each path
+ *   shade_hits    what rays hit: emission, a shadow ray to a light, the next ray
+ *   add_lit       adds what shadow rays found visible
+ *   finish_paths  direct light with its visibility, plus what the path brought: the samples' complete values
+ *
+ * A path is named by its sample's place in the batch (samples.cl), where `radiance` sums what it brings, a plane of
+ * `capacity` floats a channel. Live paths are compacted: ray i of a bounce has its origin and direction (three
+ * floats each, as embree reads them) and in `state` STATE_ROWS planes of `capacity`: throughput (3), density
+ * of the direction (0: light that this ray hits was sampled otherwise). `path` names its path. Which ray a
+ * path gets may differ between runs; a path adds only to its own sum, one bounce after another, and random
+ * numbers follow from its name: so results do not.
+ *
+ * `triangles`: records of TRIANGLE_FLOATS floats: 0 corner, 3 edge1, 6 edge2, 9 unit normal, 12 offset of ray
+ * origins, 13 light (-1: none), 14 albedo, then with HAS_SPECULAR reflectance (3) and roughness, with
+ * HAS_EMISSION emission (3), with HAS_NORMALS the corners' normals (9). Both sides are alike.
+ *
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
+ * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
+ */
+
+#define AT_REFLECTANCE 17
+#define AT_EMISSION (17 + 4 * HAS_SPECULAR)
+#define AT_NORMALS (AT_EMISSION + 3 * HAS_EMISSION)
+
+typedef struct {
+  triple origin, direction, throughput;
+  real density;
+  bits path;
+} Ray;
+
+/* Appends the rays of lanes that are alive to the `ray_count` so far. */
+void append_rays(const Ray *ray, const whole alive, const ulong capacity, global float *restrict origins,
+                 global float *restrict directions, global float *restrict state, global uint *restrict path,
+                 volatile global uint *restrict ray_count) {
+  float number[10][VEC];
+  int is_alive[VEC];
+  uint name[VEC];
+  STORE(ray->origin.x, number[0]);
+  STORE(ray->origin.y, number[1]);
+  STORE(ray->origin.z, number[2]);
+  STORE(ray->direction.x, number[3]);
+  STORE(ray->direction.y, number[4]);
+  STORE(ray->direction.z, number[5]);
+  STORE(ray->throughput.x, number[6]);
+  STORE(ray->throughput.y, number[7]);
+  STORE(ray->throughput.z, number[8]);
+  STORE(ray->density, number[9]);
+  STORE(alive, is_alive);
+  STORE(ray->path, name);
+  uint count = 0;
+  for (uint lane = 0; lane < VEC; ++lane) count += is_alive[lane] != 0 ? 1u : 0u;
+  if (count == 0) return;
+  uint at = atomic_add(ray_count, count);
+  for (uint lane = 0; lane < VEC; ++lane) {
+    if (is_alive[lane] == 0) continue;
+    for (uint axis = 0; axis < 3; ++axis) {
+      origins[3 * (ulong)at + axis] = number[axis][lane];
+      directions[3 * (ulong)at + axis] = number[3 + axis][lane];
+    }
+    for (uint row = 0; row < STATE_ROWS; ++row) state[row * capacity + at] = number[6 + row][lane];
+    path[at] = name[lane];
+    ++at;
+  }
+}
+
+/* Throughput of one more bounce: f_r cos / density, zero below the surface. */
+triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
+                         const real density) {
+  real f_r[3];
+  scattering(s, towards, f_r);
+  const real cosine = dot_triple(s->normal, towards);
+  const whole above = (cosine > 0.0f) && (dot_triple(geometric_normal, towards) > 0.0f) && (density > 0.0f);
+  const real scale = SELECT((real)0.0f, cosine / density, above);
+  return (triple){SELECT((real)0.0f, f_r[0] * scale, above), SELECT((real)0.0f, f_r[1] * scale, above),
+                  SELECT((real)0.0f, f_r[2] * scale, above)};
+}
+
+real largest_of(const triple t) { return max(t.x, max(t.y, t.z)); }
+
+whole is_shiny(const Scatterer *s) {
+#if HAS_SPECULAR
+  return s->reflectance.x + s->reflectance.y + s->reflectance.z > 0.0f;
+#else
+  (void)s;
+  return (whole)0;
+#endif
+}
+
+kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
+                        const uint sample_count, const uint stride, const uint capacity, const uint max_depth,
+                        global const uint *restrict order, global const float *restrict surface,
+                        global const float *restrict u, global const float *restrict v,
+                        global float *restrict radiance, global float *restrict origins,
+                        global float *restrict directions, global float *restrict state,
+                        global uint *restrict path, volatile global uint *restrict ray_count) {
+  const uint blocks = stride / VEC;
+  const uint item = (uint)get_global_id(0);
+  if (item >= point_count * blocks) return;
+  const ulong at = (ulong)item * VEC;
+  const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
+  const Scatterer s = scatterer_of(&p);
+  for (uint channel = 0; channel < 3; ++channel) STORE((real)0.0f, radiance + channel * (ulong)capacity + at);
+
+  Ray ray;
+  ray.origin = to_triple(ray_origin(&p));
+  ray.direction = sample_scattering(&s, LOAD(u + at), LOAD(v + at));
+  const real density = scattering_density(&s, ray.direction);
+  ray.throughput = bounce_throughput(&s, to_triple(p.geometric_normal), ray.direction, density);
+  /* Matte surfaces have found the lights by their points alone. */
+#if DIRECT
+  ray.density = SELECT((real)0.0f, density, is_shiny(&s));
+#else
+  ray.density = (real)0.0f;
+#endif
+  ray.path = LANE_NUMBER + (uint)at;
+  whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
+  /* Of use at depth 2 is only what could have found a light. */
+  const uint last_of_use = HAS_EMISSION ? 1u : 2u;
+  if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
+  append_rays(&ray, alive, capacity, origins, directions, state, path, ray_count);
+}
+
+triple gather_triple(global const float *restrict record, const whole at) {
+  return (triple){gather(record, at), gather(record, at + 1), gather(record, at + 2)};
+}
+
+triple sum_of(const triple a, const triple b, const real factor) {
+  return (triple){FMA(factor, b.x, a.x), FMA(factor, b.y, a.y), FMA(factor, b.z, a.z)};
+}
+
+triple turned(const triple t, const whole turn) {
+  return (triple){SELECT(t.x, -t.x, turn), SELECT(t.y, -t.y, turn), SELECT(t.z, -t.z, turn)};
+}
+
+/* Where rays hit, as points.cl makes a shading point. */
+void load_hit(global const float *restrict triangles, const whole at, const real b1, const real b2,
+              const triple outgoing, triple *position, triple *geometric_normal, Scatterer *s) {
+  *position = sum_of(sum_of(gather_triple(triangles, at), gather_triple(triangles, at + 3), b1),
+                     gather_triple(triangles, at + 6), b2);
+  const triple own = gather_triple(triangles, at + 9);
+  *geometric_normal = turned(own, dot_triple(own, outgoing) < 0.0f);
+  s->normal = *geometric_normal;
+  s->outgoing = outgoing;
+  s->albedo = gather_triple(triangles, at + 14);
+#if HAS_SPECULAR
+  s->reflectance = gather_triple(triangles, at + AT_REFLECTANCE);
+  s->roughness = gather(triangles, at + AT_REFLECTANCE + 3);
+#endif
+#if HAS_NORMALS
+  const triple corner0 = gather_triple(triangles, at + AT_NORMALS);
+  const triple corner1 = gather_triple(triangles, at + AT_NORMALS + 3);
+  const triple corner2 = gather_triple(triangles, at + AT_NORMALS + 6);
+  const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
+  triple normal = sum_of(sum_of(sum_of(zero, corner0, 1.0f - b1 - b2), corner1, b1), corner2, b2);
+  normal = turned(normal, dot_triple(normal, *geometric_normal) < 0.0f);
+  const real length2 = dot_triple(normal, normal);
+  const real inverse = rsqrt(max(length2, (real)1e-30f));
+  const whole usable = (length2 > 0.0f) && (dot_triple(normal, outgoing) > 0.0f);
+  s->normal.x = SELECT(s->normal.x, normal.x * inverse, usable);
+  s->normal.y = SELECT(s->normal.y, normal.y * inverse, usable);
+  s->normal.z = SELECT(s->normal.z, normal.z * inverse, usable);
+#endif
+}
+
+void add_radiance(const triple throughput, const real amount[3], const bits path, const whole here,
+                  const ulong capacity, global float *restrict radiance) {
+  float added[3][VEC];
+  int is_here[VEC];
+  uint name[VEC];
+  STORE(throughput.x * amount[0], added[0]);
+  STORE(throughput.y * amount[1], added[1]);
+  STORE(throughput.z * amount[2], added[2]);
+  STORE(here, is_here);
+  STORE(path, name);
+  for (uint lane = 0; lane < VEC; ++lane)
+    if (is_here[lane] != 0)
+      for (uint channel = 0; channel < 3; ++channel)
+        radiance[channel * capacity + name[lane]] += added[channel][lane];
+}
+
+/* Rays of `bounce` (the first is 1) and their hits. */
+kernel void shade_hits(const uint count, const uint capacity, const uint max_depth, const uint bounce, const uint first_point,
+                       const uint first_sample, const uint stride, const uint stream, const uint seed_low,
+                       const uint seed_high, global const uint *restrict order,
+                       global const float *restrict triangles, global const float *restrict lights,
+                       global const float *restrict guide_frame, global const float *restrict guide,
+                       global const float *restrict guide_mean, global uint *restrict guide_place, global const int *restrict hit, global const float *restrict hit_u,
+                       global const float *restrict hit_v, global const float *restrict hit_distance,
+                       global const float *restrict directions, global const float *restrict state,
+                       global const uint *restrict path, global float *restrict radiance,
+                       global float *restrict shadow_origins, global float *restrict shadow_directions,
+                       global float *restrict shadow_state, global uint *restrict shadow_path,
+                       global float *restrict next_origins, global float *restrict next_directions,
+                       global float *restrict next_state, global uint *restrict next_path,
+                       volatile global uint *restrict ray_counts) {
+  const uint first = (uint)get_global_id(0) * VEC;
+  if (first >= count) return;
+  const whole here = LANE_NUMBER + first < (bits)count;
+  const whole triangle = LOAD(hit + first);
+  const whole at = max(triangle, (whole)0) * TRIANGLE_FLOATS;
+  const whole ray_at = 3 * (TO_WHOLE(LANE_NUMBER) + (int)first);
+  const triple direction = gather_triple(directions, ray_at);
+  const triple outgoing = {-direction.x, -direction.y, -direction.z};
+  const ulong plane = capacity;
+  Ray ray;
+  ray.throughput = (triple){LOAD(state + first), LOAD(state + plane + first), LOAD(state + 2 * plane + first)};
+  /* What a lane past the last ray finds there may be of a larger batch. */
+  ray.path = SELECT((bits)0, LOAD(path + first), here);
+  const whole light = TO_WHOLE(gather(triangles, at + 13));
+  const whole met = here && (triangle >= 0);
+
+  /* A light ends the path. What it adds is weighted by how else it could have been found. */
+  const whole on_light = met && (light >= 0);
+  if (ANY(on_light)) {
+    const real density = LOAD(state + 3 * plane + first);
+    const whole record = max(light, (whole)0) * LIGHT_FLOATS;
+    const triple normal = gather_triple(lights, record + 9);
+    const real emitted = dot_triple(normal, outgoing);
+    const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
+    const real distance = LOAD(hit_distance + first);
+    const real shared = gather(lights, record + 19);
+    const real other = distance * distance * shared / max(facing, (real)1e-20f);
+    const real weight = shared * density / (density + other);
+    real amount[3];
+    for (int channel = 0; channel < 3; ++channel) amount[channel] = weight * gather(lights, record + 12 + channel);
+    add_radiance(ray.throughput, amount, ray.path, on_light && (facing > 0.0f) && (density > 0.0f), plane, radiance);
+  }
+  const whole on_surface = met && (light < 0);
+  triple position, geometric_normal;
+  Scatterer s;
+  load_hit(triangles, at, LOAD(hit_u + first), LOAD(hit_v + first), outgoing, &position, &geometric_normal, &s);
+#if HAS_EMISSION
+  const triple emission = gather_triple(triangles, at + AT_EMISSION);
+  const real glow[3] = {emission.x, emission.y, emission.z};
+  add_radiance(ray.throughput, glow, ray.path, on_surface && (largest_of(emission) > 0.0f), plane, radiance);
+#endif
+  /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
+  if (bounce + 2 > max_depth) return;
+  whole both_ways = on_surface;
+  /* For the last of them a ray that finds light is worth while only if there is a lobe. */
+  const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
+  if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
+  ray.origin = sum_of(position, geometric_normal, gather(triangles, at + 12));
+  /* The path's sample: of which point, and which of its samples. */
+  const bits slot = ray.path / stride;
+  const bits index = ray.path - slot * stride + first_sample;
+  const bits point = gather_bits(order, slot + first_point);
+  real coordinates[5];
+  sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
+
+  const LightSample found = sample_lights(lights, position, ray.origin, coordinates[0], coordinates[1]);
+  const real cosine = dot_triple(s.normal, found.towards);
+  const whole lit =
+      on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);
+  real f_r[3];
+  scattering(&s, found.towards, f_r);
+  const real weight = found.density / (found.density + scattering_density(&s, found.towards));
+  const real scale = cosine * SELECT((real)1.0f, weight, both_ways);
+  Ray shadow;
+  shadow.origin = ray.origin;
+  shadow.direction = found.segment;
+  shadow.throughput = (triple){ray.throughput.x * f_r[0] * found.radiance[0] * scale,
+                               ray.throughput.y * f_r[1] * found.radiance[1] * scale,
+                               ray.throughput.z * f_r[2] * found.radiance[2] * scale};
+  shadow.density = (real)0.0f;
+  shadow.path = ray.path;
+  append_rays(&shadow, lit && (largest_of(shadow.throughput) > 0.0f), plane, shadow_origins, shadow_directions,
+              shadow_state, shadow_path, ray_counts);
+
+  real inverse_guide = (real)1.0f;
+#if GUIDED
+  const whole matte = !is_shiny(&s);
+  real guided_u = coordinates[2];
+  real guided_v = coordinates[3];
+  const whole cell = guide_cell(guide_frame, position, s.normal);
+  inverse_guide = guide_square(guide, cell, &guided_u, &guided_v);
+  inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
+  coordinates[2] = SELECT(coordinates[2], guided_u, matte);
+  coordinates[3] = SELECT(coordinates[3], guided_v, matte);
+#else
+  (void)guide;
+  (void)guide_mean;
+#endif
+#if RECORDED
+  /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
+  if (bounce == 1) {
+    const whole place =
+        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
+    uint places[VEC];
+    uint names[VEC];
+    int is_there[VEC];
+    STORE(SELECT(TO_BITS(place), (bits)NO_RAY, is_shiny(&s)), places);
+    STORE(ray.path, names);
+    STORE(on_surface, is_there);
+    for (uint lane = 0; lane < VEC; ++lane)
+      if (is_there[lane] != 0) guide_place[names[lane]] = places[lane];
+  }
+#else
+  (void)guide_place;
+#endif
+#if !GUIDED && !RECORDED
+  (void)guide_frame;
+#endif
+  ray.direction = sample_scattering(&s, coordinates[2], coordinates[3]);
+  ray.density = scattering_density(&s, ray.direction);
+  const triple factor = bounce_throughput(&s, geometric_normal, ray.direction, ray.density);
+  ray.throughput.x *= factor.x;
+  ray.throughput.y *= factor.y;
+  ray.throughput.z *= factor.z;
+  whole alive = on_surface && both_ways;
+  alive = alive && (largest_of(ray.throughput) > 0.0f);
+  if (bounce >= ROULETTE_BOUNCE) {
+    const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
+    const whole survives =
+        alive && (coordinates[4] < survival);
+    const real scale_up = 1.0f / max(survival, (real)1e-20f);
+#if GUIDED
+    /* What a cell is known to receive is counted in any case, and roulette decides on the difference alone:
+     * c + (R - c) / survival or c, whose expectation is R whatever c. */
+    const whole known = cell * GUIDE_CHANNELS;
+    const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
+    const real expected[3] = {kept * gather(guide_mean, known), kept * gather(guide_mean, known + 1),
+                              kept * gather(guide_mean, known + 2)};
+    add_radiance(ray.throughput, expected, ray.path, alive && matte, plane, radiance);
+#endif
+    alive = survives;
+    ray.throughput.x *= scale_up;
+    ray.throughput.y *= scale_up;
+    ray.throughput.z *= scale_up;
+  }
+  /* After roulette, which goes by how bright the surface is, and not by how likely the direction was. Light that the
+   * ray finds is weighted as if it had not been guided: weights have to sum to one, no more. */
+  ray.throughput.x *= inverse_guide;
+  ray.throughput.y *= inverse_guide;
+  ray.throughput.z *= inverse_guide;
+  append_rays(&ray, alive && (largest_of(ray.throughput) > 0.0f), plane, next_origins, next_directions, next_state,
+              next_path, ray_counts + 1);
+}
+
+kernel void add_lit(const uint count, const uint capacity, global const uchar *restrict visible,
+                    global const float *restrict state, global const uint *restrict path,
+                    global float *restrict radiance) {
+  const uint ray = (uint)get_global_id(0);
+  if (ray >= count || visible[ray] == 0) return;
+  for (uint channel = 0; channel < 3; ++channel)
+    radiance[channel * (ulong)capacity + path[ray]] += state[channel * (ulong)capacity + ray];
+}
+
+/* `most` caps what a path brings, by its largest channel. */
+kernel void finish_paths(const uint count, const uint capacity, const float most, global const uint *restrict slot,
+                         global const uchar *restrict visible, global const float *restrict radiance,
+                         global float *restrict value) {
+  const uint at = (uint)get_global_id(0) * VEC;
+  if (at >= count) return;
+  const real seen = load_visibility(slot, visible, at);
+  const triple brought = {LOAD(radiance + at), LOAD(radiance + capacity + at), LOAD(radiance + 2 * (ulong)capacity + at)};
+  const real largest = largest_of(brought);
+  const real scale = SELECT((real)1.0f, (real)most / largest, largest > most);
+  STORE(FMA(LOAD(value + at), seen, brought.x * scale), value + at);
+  STORE(FMA(LOAD(value + count + at), seen, brought.y * scale), value + count + at);
+  STORE(FMA(LOAD(value + 2 * (ulong)count + at), seen, brought.z * scale), value + 2 * (ulong)count + at);
+}

@@ -1,0 +1,88 @@
+"""Global illumination: direct light and all that comes by way of other surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene import Scene
+from .base import Integrand, IntegrandError
+from .direct import emitted_by_lights, light_defines, light_records, scattering_defines
+
+
+class GlobalIllumination(Integrand):
+    """F(p) = ∫ f_r L_i cos dω over the upper hemisphere, L_i estimated by one path, RGB.
+
+    (u, v) is the direction of the first bounce, and at once a point on a light, as for `DirectLight`.
+    What arrives from that direction is a nested integral, for which a sample has one noisy estimate.
+
+    Parameters
+    ----------
+    max_depth : int, optional
+        Most edges of a path from the camera to a light, as Mitsuba's path integrator counts them: 2 is
+        direct light alone, 3 adds one bounce. By default Russian roulette alone ends paths.
+    direct : bool
+        Whether what the area lights send to the shading points themselves is part of it.
+    clamp : float, optional
+        Most that the largest channel of what one path brings may be: less noise, and too dark.
+    guided : bool
+        Whether a control variate's training also learns what guides the bounces behind the first; the
+        slides' preset never does.
+    """
+
+    name = "gi"
+    files = ("bsdf", "bounce", "lights", "gi")
+    channels = 3
+    inputs = ("position", "normal", "outgoing", "albedo", "roughness")
+    demodulated = False
+    emitters_active = False
+    nested = True
+
+    def __init__(
+        self,
+        max_depth: int | None = None,
+        direct: bool = True,
+        clamp: float | None = None,
+        guided: bool = True,
+    ) -> None:
+        if max_depth is not None and (int(max_depth) != max_depth or max_depth < 2):
+            raise IntegrandError(f"max_depth must be a whole number of at least 2, got {max_depth!r}")
+        if clamp is not None and not clamp > 0:
+            raise IntegrandError(f"clamp must be positive, got {clamp!r}")
+        self.max_depth = None if max_depth is None else int(max_depth)
+        self.direct = bool(direct)
+        self.clamp = None if clamp is None else float(clamp)
+        self.guided = bool(guided)
+
+    @property
+    def to_lights(self) -> bool:
+        """Whether there are rays of the first bounce's light sampling; paths trace theirs elsewhere."""
+        return self.direct
+
+    def data(self, scene: Scene) -> np.ndarray:
+        if not scene.lights and not emissions(scene).any():
+            raise IntegrandError(
+                f"{scene.name} has no light, so global illumination is zero everywhere: "
+                "add a [[lights]] entry to the scene, or give a material an emission"
+            )
+        return light_records(scene.lights)
+
+    def defines(self, scene: Scene) -> dict[str, int]:
+        return {
+            "CHANNELS": self.channels,
+            "DIRECT": int(self.direct),
+            **light_defines(scene),
+            **scattering_defines(scene),
+        }
+
+    def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        if not self.direct:
+            return np.zeros((len(light), 3), np.float32)
+        return emitted_by_lights(scene, light, outgoing)
+
+    def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
+        return emissions(scene)[material]
+
+
+def emissions(scene: Scene) -> np.ndarray:
+    """What each material emits, float32 (materials, 3)."""
+    return np.array([material.emission for material in scene.materials], np.float32).reshape(-1, 3)
