@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import platform
+import shlex
 import subprocess
 import sys
 import time
@@ -30,6 +31,7 @@ PACKAGES = ("numpy", "pyopencl", "embreex", "OpenImageIO", "matplotlib", "torch"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Returns 0, 1 if a part failed (the report is written nonetheless), 2 for bad input."""
     options = _parser().parse_args(arguments)
+    extra = shlex.split(options.options)
     unknown = [name for name in options.parts if name not in (*PARTS, REPORT)]
     if unknown:
         print(
@@ -37,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"{REPORT} for what is there already",
             file=sys.stderr,
         )
+        return 2
+    if extra and len(options.parts) != 1:
+        print("ncv-cl: error: --options are those of one part: name it", file=sys.stderr)
         return 2
     out = Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
@@ -48,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             left = QUICK_SECONDS - REPORT_SECONDS - (time.perf_counter() - started)
             limit = min(QUICK_PART_SECONDS, left)
         print(f"== {name}", flush=True)
-        run = run_part(PARTS[name], out, options.quick, options.device, limit)
+        run = run_part(PARTS[name], out, options.quick, options.device, limit, extra)
         print(f"== {name}: {run.status}, {run.seconds:.0f} s", flush=True)
         failed |= run.status in ("failed", "timed out")
         record(out, run, options.device)
@@ -62,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="all at reduced size, in less than ten minutes")
     add("--out", default="bench-report", metavar="DIR", help="results and report (default: %(default)s)")
     add("--device", metavar="D", help="as for ncv-cl render")
+    add("--options", default="", metavar="TEXT", help="for one part's script, as --options='--size 128'")
     return parser
 
 

@@ -16,9 +16,10 @@ FIRST_SAMPLES = 16
 # take at a point.
 FIXED_INFERENCE_SAMPLES = 5e7
 INFERENCE_SAMPLES_A_POINT = 150.0
-# What a sample of the control variate costs more, with its rays where the shadows' edges are: 1.2 to 2
-# on the shipped scenes.
-SAMPLE_COST = 1.4
+# What a sample's ray costs more where the shadows' edges are; and what warping and inference add to it,
+# in inference samples of the probe's network.
+RAY_COST = 1.15
+SAMPLE_INFERENCE = 1.2
 # By how much the variance falls where all points are alike, as for the shipped scenes' ambient
 # occlusion; allocation brings the rest. All were set on the scenes that bench_curves.py reports.
 DENSITY_GAIN = 1.6
@@ -28,7 +29,7 @@ VARIANCE_EXPONENT = 1.5
 # as samples do. Guided paths lower it, with more rays; both were set on the Cornell box.
 NESTED_GAIN = 2.0
 NESTED_EXPONENT = 1.0
-NESTED_SAMPLE_COST = 1.25
+NESTED_RAY_COST = 1.25
 # The gain must be this clear, as predictions err.
 MARGIN = 0.85
 
@@ -104,9 +105,8 @@ def predict(
     inference = 1e-9 * cached_probe(device).nanoseconds
     fixed = inference * (FIXED_INFERENCE_SAMPLES + INFERENCE_SAMPLES_A_POINT * len(variance))
     fixed += training_samples * seconds / drawn
-    cost, exponent = (
-        (NESTED_SAMPLE_COST, NESTED_EXPONENT) if nested else (SAMPLE_COST, VARIANCE_EXPONENT)
-    )
-    ncv_seconds = fixed + mc_seconds * cost * gain ** (-1 / exponent)
+    cost, exponent = (NESTED_RAY_COST, NESTED_EXPONENT) if nested else (RAY_COST, VARIANCE_EXPONENT)
+    network = inference * SAMPLE_INFERENCE * len(variance) * max(spp - drawn, 0)
+    ncv_seconds = fixed + (mc_seconds * cost + network) * gain ** (-1 / exponent)
     method = "ncv" if variance.any() and ncv_seconds < MARGIN * mc_seconds else "mc"
     return Prediction(method, mc_seconds, ncv_seconds, gain)

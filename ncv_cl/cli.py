@@ -182,6 +182,7 @@ def _add_bench(commands: argparse._SubParsersAction) -> None:
     add("--quick", action="store_true", help="all at reduced size, in less than ten minutes")
     add("--out", metavar="DIR", help="where results and report go (default: bench-report)")
     add("--device", metavar="D", help="as for render")
+    add("--options", metavar="TEXT", help="for one part's script, as --options='--size 128'")
     parser.set_defaults(command=_bench)
 
 
@@ -196,6 +197,7 @@ def _bench(options: argparse.Namespace) -> int:
     command += ["--quick"] if options.quick else []
     command += ["--out", options.out] if options.out else []
     command += ["--device", options.device] if options.device else []
+    command += [f"--options={options.options}"] if options.options else []
     return subprocess.call(command)
 
 

@@ -281,8 +281,9 @@ def test_a_part_runs_in_a_process_of_its_own(tmp_path, monkeypatch, script, stat
     monkeypatch.setattr("report.parts.BENCH", tmp_path)
     (tmp_path / "part.json").write_text("{}")
     limit = 0.5 if status == "timed out" else 30.0
-    run = run_part(Part("part", "part.py", "Part", "nothing"), tmp_path, False, None, limit)
-    assert run.status == status and run.command == "ncv-cl bench part"
+    part = Part("part", "part.py", "Part", "nothing")
+    run = run_part(part, tmp_path, False, None, limit, ["--size", "8"])
+    assert run.status == status and run.command == 'ncv-cl bench part --options "--size 8"'
     assert ("no light" in run.message) == (status == "failed")
     # An earlier run's results do not pass for those of one that failed.
     assert (tmp_path / "part.json").exists() == (status in ("ok", "absent"))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -83,20 +85,30 @@ class Run:
         return asdict(self)
 
 
-def command_of(part: str, quick: bool) -> str:
+def command_of(part: str, quick: bool, extra: Sequence[str] = ()) -> str:
     """What a reader types to measure a part again."""
-    return f"ncv-cl bench {part}{' --quick' if quick else ''}"
+    own = f' --options "{shlex.join(extra)}"' if extra else ""
+    return f"ncv-cl bench {part}{' --quick' if quick else ''}{own}"
 
 
-def run_part(part: Part, out: Path, quick: bool, device: str | None, limit: float | None) -> Run:
+def run_part(
+    part: Part,
+    out: Path,
+    quick: bool,
+    device: str | None,
+    limit: float | None,
+    extra: Sequence[str] = (),
+) -> Run:
     """Run a part's script; its results are in ``out/<name>.json`` if it came to its end.
 
     Parameters
     ----------
     limit : float or None
         Seconds after which the script and all that it started are killed.
+    extra : sequence of str
+        Options of the script's own.
     """
-    command, date = command_of(part.name, quick), time.strftime("%Y-%m-%d %H:%M")
+    command, date = command_of(part.name, quick, extra), time.strftime("%Y-%m-%d %H:%M")
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     if not part.path.exists():
         return Run(part.name, command, date, "absent", 0.0, load, f"there is no bench/{part.script}")
@@ -106,7 +118,7 @@ def run_part(part: Part, out: Path, quick: bool, device: str | None, limit: floa
     # What an earlier run left must not pass for this one's.
     results.unlink(missing_ok=True)
     arguments = [sys.executable, str(part.path), "--json", str(results)]
-    arguments += ["--quick"] if quick else []
+    arguments += [*(["--quick"] if quick else []), *extra]
     started = time.perf_counter()
     code, lines, killed = _call(arguments, device, limit)
     status = "timed out" if killed else "ok" if code == 0 and results.exists() else "failed"
