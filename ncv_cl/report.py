@@ -60,7 +60,7 @@ def skips(
     points: ShadingPoints, rays: RayCount, inputs: tuple[str, ...], varying: tuple[str, ...]
 ) -> dict[str, object]:
     """What the scene did not need, and the seconds that rays would have taken at the others' mean."""
-    a_ray = rays.trace_seconds / max(rays.traced, 1)
+    a_ray = rays.trace_seconds / rays.traced if rays.traced else 0.0
     return {
         "background_points": points.background,
         "points_without_light": points.dark,
