@@ -6,7 +6,7 @@ Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES
 import sys
 from dataclasses import replace
 
-from ncv_cl import render
+from ncv_cl import learn, render
 from ncv_cl.device import HostArray, list_cl_devices, open_device
 from ncv_cl.presets import PRESETS
 
@@ -34,6 +34,7 @@ def avoid_false_reports() -> None:
 
 def shrink_training() -> None:
     """The default network with fewer grid levels and one pass: every line of the kernels still runs."""
+    learn.FEWEST_STEPS = 1
     preset = PRESETS["default"]
     settings = replace(preset.settings, passes=1)
     PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, settings=settings)
