@@ -30,7 +30,7 @@ TESTS, SCENES = ROOT / "tests", ROOT / "scenes"
 ALL_GROUPS = ("W1", "B1", "B2", "W3", "B3")
 
 # Subjects of which a quick run needs every check, to reach every kernel.
-WHOLE_SUBJECTS = ("direct light", "density", "integration")
+WHOLE_SUBJECTS = ("direct light", "density", "integration", "control coefficient")
 # Subject, test module, test function, and the arguments that are no fixtures (or a function of the
 # module that gives them). Of most subjects a quick run does the first check only.
 CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = (
@@ -54,6 +54,12 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("direct light", "test_direct", "test_quadrature_gives_lamberts_form_factor",
      {"scale": 1, "offset": 0, "count": 3}),
     ("direct light", "device_checks", "unshadowed_means_are_those_of_the_samples", {}),
+    ("shadow rays", "test_shaft", "test_occluders_answer_as_embree_does",
+     lambda tests: {"count": 40, "lights": tests.LIGHTS}),
+    ("global illumination", "test_gi", "test_matte_scenes_match_an_independent_path_tracer",
+     {"depth": 3, "lights": None}),
+    ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),
+    ("control coefficient", "test_alpha", "test_a_coefficient_of_zero_leaves_plain_monte_carlo", {}),
     ("samples", "test_samples", "test_each_sample_finds_its_own_rays_answer", {}),
     ("estimate", "test_estimate", "test_means_and_variances_match_float64",
      {"channels": 3, "lengths": (1, 1, 200, 3), "mean": 1e3, "spread": 1e-1}),

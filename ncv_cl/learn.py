@@ -28,8 +28,11 @@ TRAINING_PASS = 16
 # at 64 samples a point, Cornell box and occluders).
 AUTO_TRAINING_SAMPLES = 1 << 19
 AUTO_PASSES = 2
-# Few points make few steps of a pass; samples are used more often then, up to so often.
-FEWEST_STEPS = 512
+# Few points make few steps of a pass; samples are used more often then, up to so often. Points that fit
+# one minibatch bear many steps; where there are more, with few samples each, the network soon knows the
+# samples by heart.
+FEWEST_STEPS = 64
+FEWEST_STEPS_OF_ONE_BATCH = 512
 MOST_PASSES = 128
 # Training samples held at a time.
 TRAINING_SAMPLES_HELD = 1 << 23
@@ -106,8 +109,10 @@ def _enough_passes(preset: Preset, passes: int, points: int, samples: int) -> in
     if not preset.subset:
         return passes
     schedule = preset.settings
-    steps = max(1, round(points / schedule.batch)) * max(1, samples // schedule.samples_a_step)
-    return max(passes, min(MOST_PASSES, -(-FEWEST_STEPS // steps)))
+    batches = max(1, round(points / schedule.batch))
+    wanted = FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else FEWEST_STEPS
+    steps = batches * max(1, samples // schedule.samples_a_step)
+    return max(passes, min(MOST_PASSES, -(-wanted // steps)))
 
 
 def _fit(

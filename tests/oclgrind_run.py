@@ -34,7 +34,7 @@ def avoid_false_reports() -> None:
 
 def shrink_training() -> None:
     """The default network with fewer grid levels and one pass: every line of the kernels still runs."""
-    learn.FEWEST_STEPS = 1
+    learn.FEWEST_STEPS = learn.FEWEST_STEPS_OF_ONE_BATCH = 1
     preset = PRESETS["default"]
     settings = replace(preset.settings, passes=1)
     PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, settings=settings)

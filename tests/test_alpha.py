@@ -8,7 +8,15 @@ import pytest
 from test_network import knot_points
 from test_train import prepare
 
-from ncv_cl.alpha import LARGEST, PSEUDO_SAMPLES, SMALLEST, can_scale, control_coefficients, scale
+from ncv_cl.alpha import (
+    LARGEST,
+    PSEUDO_SAMPLES,
+    SMALLEST,
+    _column_moments,
+    can_scale,
+    control_coefficients,
+    scale,
+)
 from ncv_cl.estimate import Estimator
 from ncv_cl.integrands import DirectLight
 from ncv_cl.network import FoldedNetwork
@@ -41,6 +49,20 @@ def test_coefficients_are_covariance_over_variance_shrunk_towards_one(device, sc
     seen = f[0].size
     expected = np.clip(1 + (best - 1) * seen / (seen + PSEUDO_SAMPLES), 0, LARGEST)
     np.testing.assert_allclose(found, np.broadcast_to(expected[:, None], found.shape), rtol=1e-4)
+
+
+def test_moments_of_each_column_match_float64(device, scenes):
+    trainer, network, points, _, uv, f = trained(device, scenes)
+    samples = trainer.samples_of(network)
+    order = samples.order.read()
+    at = np.argsort(np.argsort(order))
+    feature = reference.features(network, points)
+    g = reference.forward(network, feature[:, np.sort(order)], uv)[:, at]
+    g -= g.mean(axis=2, keepdims=True)
+    f = (f - f.mean(axis=2, keepdims=True))[:, at]
+    found = _column_moments(FoldedNetwork(device, network, points), samples)
+    for moment, expected in zip(found, ((f * g).sum(axis=2), (g * g).sum(axis=2)), strict=True):
+        np.testing.assert_allclose(moment, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 def test_a_network_that_is_twice_too_large_is_halved(one_device, scenes, monkeypatch):
