@@ -245,10 +245,9 @@ class _Rendering:
 
     def _without_dark(self, points: ShadingPoints) -> ShadingPoints:
         """Points that cannot see a light are left out; all others keep their samples either way."""
-        position, *normals = (
-            points.rows(name)[:, : points.active] for name in ("position", "normal", "geometric_normal")
-        )
-        dark = self.settings.integrand.dark(self.scene, position, tuple(normals))
+        dark = self.settings.integrand.dark(self.scene, points)
+        if dark is None:
+            return points
         points = points.with_dark_last(dark)
         return points.without_last(int(dark.sum())) if self.settings.skip_dark else points
 

@@ -18,10 +18,7 @@ SIZE = (32, 32)
 
 
 def dark_points(scene, points):
-    position, *normals = (
-        points.rows(name)[:, : points.active] for name in ("position", "normal", "geometric_normal")
-    )
-    return DirectLight().dark(scene, position, tuple(normals))
+    return DirectLight().dark(scene, points)
 
 
 @pytest.mark.parametrize("name", ["cornell_box", "occluders", "knot"])
@@ -55,9 +52,10 @@ def test_dark_points_come_last_with_all_that_belongs_to_them(device, scenes):
     np.testing.assert_array_equal(points.light[by_cell[0]], ordered.light[by_cell[1]])
 
 
-def test_ambient_occlusion_has_no_dark_points(scenes):
+def test_ambient_occlusion_has_no_dark_points(one_device, scenes):
     scene = load_scene(scenes / "cornell_box.toml")
-    assert not AmbientOcclusion().dark(scene, np.zeros((3, 5)), (np.ones((3, 5)),) * 2).any()
+    points = find_points(one_device, scene, Tracer(scene), *SIZE)
+    assert AmbientOcclusion().dark(scene, points) is None
 
 
 def render_both(device, scenes, **options) -> tuple[Image, Image]:

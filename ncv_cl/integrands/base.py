@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..points import ShadingPoints
 from ..scene import Scene
 
 
@@ -45,17 +46,15 @@ class Integrand(ABC):
     def defines(self, scene: Scene) -> dict[str, int]:
         """The `-D` constants of the integrand's kernel files."""
 
-    def dark(self, scene: Scene, position: np.ndarray, normals: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Where f is zero for every (u, v), as far as that is certain without shadows: bool (points,).
+    def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray | None:
+        """Where f is zero for every (u, v), as far as that is certain without shadows.
 
-        Parameters
-        ----------
-        position : ndarray
-            float32 (3, points).
-        normals : tuple of ndarray
-            float32 (3, points) each: shading and geometric normals.
+        Returns
+        -------
+        ndarray, optional
+            bool (points.active,); None where no point can be so.
         """
-        return np.zeros(position.shape[1], bool)
+        return None
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """What points on lights add by themselves, float32 (points, 3).

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..points import RELATIVE_OFFSET
+from ..points import RELATIVE_OFFSET, ShadingPoints
 from ..scene import QuadLight, Scene
 from .base import Integrand, IntegrandError
 
@@ -34,17 +34,20 @@ class DirectLight(Integrand):
         self._check(scene)
         return {"CHANNELS": self.channels, **light_defines(scene), **scattering_defines(scene)}
 
-    def dark(self, scene: Scene, position: np.ndarray, normals: tuple[np.ndarray, ...]) -> np.ndarray:
+    def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:
         # Cosines times distances are affine on a light, so their signs at its corners decide. They are
         # taken as n.y - n.x: four numbers a light instead of four vectors a point.
-        position = position.astype(np.float64)
+        position, *normals = (
+            points.rows(name)[:, : points.active].astype(np.float64)
+            for name in ("position", "normal", "geometric_normal")
+        )
         heights = [(normal * position).sum(axis=0) for normal in normals]
         dark = np.ones(position.shape[1], bool)
         for light in scene.lights:
             corners = _corners(light)
             below = np.zeros_like(dark)
             for normal, height in zip(normals, heights, strict=True):
-                below |= (corners @ normal.astype(np.float64)).max(axis=0) <= height
+                below |= (corners @ normal).max(axis=0) <= height
             if not light.two_sided:
                 side = np.asarray(light.normal, np.float64)
                 below |= side @ position <= side @ np.asarray(light.corner, np.float64)
