@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -458,11 +458,21 @@ class _Rendering:
             self.device, self.source, settings, allocation, edges, folded, density, self.watch
         )
 
+    def _compile_plain(self) -> None:
+        """Compile what the first pass runs, or compilation would be taken for what samples cost."""
+        rays = replace(self.source.rays)
+        estimator = Estimator(self.device, self.points, self.settings.integrand.channels)
+        estimator.add(self.source.draw(range(1), range(1), Stream.TRAINING))
+        self.device.queue.finish()
+        self.source.rays = rays
+
     def _begin_plain(self) -> Estimation:
         """The first pass of plain Monte Carlo, and from it what is to be expected."""
         settings = self.settings
         everything = np.arange(self.points.active, dtype=np.uint32)
         estimation = self._begin(Allocation.uniform(everything, settings.spp), None, FIRST_SAMPLES)
+        with self.watch("compile"):
+            self._compile_plain()
         started = time.perf_counter()
         estimation.passes.run("first pass", self.progress, last=1)
         seconds = time.perf_counter() - started
