@@ -29,15 +29,6 @@ def _devices() -> dict[str, Device]:
 
 
 _NAMED = _devices()
-# What takes long to make and is shared by a module's tests; these stay on one worker of pytest-xdist.
-SHARED = {"programs", "measured", "reference"}
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            if SHARED & set(getattr(item, "fixturenames", ())):
-                item.add_marker(pytest.mark.xdist_group(item.module.__name__))
 
 
 @pytest.fixture(params=list(_NAMED), scope="session")

@@ -49,9 +49,16 @@ def _finish(figure: Figure, axes: list[Axes], file: Path) -> None:
                 one.set_minor_formatter(NullFormatter())
         axis.tick_params(labelsize=7)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=7, fontsize=8, frameon=False)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=_columns(figure), fontsize=8, frameon=False
+    )
     figure.savefig(file, dpi=110)
     pyplot.close(figure)
+
+
+def _columns(figure: Figure) -> int:
+    """Columns of a legend as wide as the figure, whose longest names take 1.5 inches each."""
+    return max(1, min(len(METHODS), int(figure.get_figwidth() / 1.5)))
 
 
 def errors(cases: list[dict], x: str, file: Path, error: str = "mse") -> None:
