@@ -24,12 +24,11 @@ from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
 from .learn import (
-    AUTO_TRAINING_SAMPLES,
-    TRAINING_PASS,
     Learned,
     learn,
     learn_alpha,
     learn_density,
+    training_budget,
 )
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
@@ -95,8 +94,10 @@ def render(
         Samples a shading point on average: of the residual for "ncv", of the integrand for "mc".
     train_spp : float or "auto"
         Training samples a shading point ("ncv"), on average: few samples a point are drawn as more of
-        them at fewer points. "auto" draws half a million in all, at most `spp` / 4 a point. Their own
-        estimate enters the image by its inverse variance.
+        them at fewer points. "auto" draws rounds, each as many as all before, until what the next one is
+        predicted to take off the residual's variance at points held out would not pay for it: from 2^17
+        in all to 2^21, at most `spp` / 4 a point (half a million where guided paths learn from them
+        too, and for the slides' preset). Their own estimate enters the image by its inverse variance.
     size : (int, int)
         Width and height, pixels.
     supersample : int
@@ -214,6 +215,8 @@ class _Rendering:
         self.prediction: Prediction | None = None
         self.guide: Guide | None = None
         self.points_done_twice = 0
+        # How the network was trained, if it was.
+        self.training: dict[str, object] = {}
         self.keep = _Keep(None, {}, None)
         with self.watch("scene"):
             self.tracer = Tracer(scene, threads)
@@ -320,6 +323,8 @@ class _Rendering:
             network, self.points_done_twice,
         )  # fmt: skip
         image.stats["method"] = "ncv" if network is not None else "mc"
+        if self.training:
+            image.stats["training"] = self.training
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
         drawn, before = (
@@ -364,7 +369,7 @@ class _Rendering:
                 self.watch,
                 self.stop,
             )
-            network = learned.network
+            network, self.training = learned.network, learned.statistics
             if guided:
                 with self.watch("guide"):
                     self.guide = self.source.learn_guide()
@@ -479,10 +484,8 @@ class _Rendering:
         first = estimation.first_estimate()
         training = 0.0
         if settings.guides:
-            chosen, samples = settings.training_points(
-                self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
-            )
-            training = len(chosen) * samples / self.points.active
+            budget = training_budget(settings, self.points.active)
+            training = sum(part.count for part in budget.rounds) / self.points.active
         self.prediction = predict(
             self.device,
             first,

@@ -179,6 +179,29 @@ def test_training_explains_most_of_the_variance(device, scenes, demodulated):
 
 
 @pytest.mark.parametrize("demodulated", [False, True])
+def test_a_trainer_goes_on_from_another_on_other_points(one_device, scenes, demodulated):
+    settings = TrainSettings(batch=16, passes=16)
+    trainer, network, (points, _), *_ = prepare(
+        one_device, scenes, settings, samples=16, demodulated=demodulated
+    )
+    first = trainer.fit()
+    before = trainer.network()
+    scene, _ = knot_points(one_device, scenes)
+    source = SampleSource(one_device, scene, Tracer(scene), points, DirectLight(), "independent", 5, 16)
+    factor = source.unshadowed_means() if demodulated else None
+    others = np.arange(1, points.active, 2, dtype=np.uint32)
+    second = Trainer(one_device, network, points, settings, others, 16, 11, factor, trainer)
+    same = second.network()
+    assert np.array_equal(before.parameters, same.parameters)
+    assert np.array_equal(before.table, same.table)
+    (part,) = source.batches(len(others))
+    second.store(source.draw(part, range(16), Stream.TRAINING, HostArray.of(one_device, others)), 0)
+    # A new network would begin with a loss many times as large.
+    assert second.fit() < 1.2 * first
+    assert not np.array_equal(before.parameters, second.network().parameters)
+
+
+@pytest.mark.parametrize("demodulated", [False, True])
 def test_two_runs_are_bit_equal(device, scenes, demodulated):
     def run():
         settings = TrainSettings(batch=16)
