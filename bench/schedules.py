@@ -1,9 +1,9 @@
 """Training schedules at equal seconds: residual variance of each against that of the default.
 
 A schedule is the default preset's with one thing changed. Each is run with several numbers of passes
-over the same samples, which makes a curve of residual against seconds; curves are compared at the seconds
-that the default takes, on straight lines between logarithms. Every run is done with two seeds: residuals
-are their means, seconds the lesser ones.
+over the same samples, which makes a curve of residual against seconds; curves are compared at the
+seconds that the default takes, on straight lines between logarithms. Every run is done with two seeds:
+residuals are their means, seconds the lesser ones.
 """
 
 from __future__ import annotations
