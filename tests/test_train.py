@@ -10,6 +10,7 @@ import pytest
 from test_network import ALL_INPUTS, knot_points, random_network
 
 from ncv_cl.device import HostArray
+from ncv_cl.encode import _by_entry
 from ncv_cl.integrands import DirectLight
 from ncv_cl.sampler import Stream
 from ncv_cl.samples import NO_RAY, SampleSource
@@ -156,6 +157,19 @@ def test_the_table_takes_adams_steps_where_it_is_asked_to(device, scenes):
         corrected = first / (1 - settings.beta1**step), second / (1 - settings.beta2**step)
         value -= rate * corrected[0] / (np.sqrt(corrected[1]) + settings.epsilon)
         np.testing.assert_allclose(table.ravel()[picks], value, atol=2e-3 * rate)
+
+
+# So that an entry and a pair's number fit into 32 bits, and so that they do not.
+@pytest.mark.parametrize("entries", [1 << 10, 1 << 30])
+def test_pairs_are_sorted_by_entry_and_number(entries):
+    corner = np.random.default_rng(0).integers(0, entries, (16, 37)).astype(np.uint32)
+    corner[3] = corner[7] = entries - 1
+    entry, starts, number = _by_entry(corner)
+    order = np.argsort(corner.ravel(), kind="stable")
+    assert np.array_equal(number, order)
+    expected, first = np.unique(corner.ravel()[order], return_index=True)
+    assert np.array_equal(entry, expected) and np.array_equal(starts, first)
+    assert entry.dtype == starts.dtype == np.uint32
 
 
 def test_untouched_grid_entries_keep_their_value(one_device, scenes):
