@@ -75,6 +75,17 @@ class TrainSettings:
     weight_power: float = 0.5
 
 
+def minibatches(count: int, columns: int) -> list[range]:
+    """`count` columns cut into runs of about `columns`, of whole tiles of CPUs but for the last.
+
+    A run that ended a column into a tile would keep one thread busy with it while the others wait.
+    """
+    width = min(CPU_MAX_TILE, columns)
+    tiles = -(-count // width)
+    edges = np.linspace(0, tiles, max(1, round(count / columns)) + 1).astype(int) * width
+    return [range(a, b) for a, b in itertools.pairwise(np.minimum(edges, count).tolist())]
+
+
 @dataclass(frozen=True)
 class TrainingSamples:
     """What a `Trainer` keeps of its samples, one column a shading point.
@@ -155,9 +166,7 @@ class Trainer:
         order = chosen[shuffled]
         self._order = HostArray.of(device, order)
         self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
-        batches = max(1, round(count / settings.batch))
-        edges = np.linspace(0, count, batches + 1).astype(int)
-        self._batches = [range(a, b) for a, b in itertools.pairwise(edges)]
+        self._batches = minibatches(count, settings.batch)
         self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
 
         self._layout = PaddedLayout(description, device.vector_width)
