@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Samples of a point that are drawn at a time; fewer on average are so many at fewer points.
+# Samples of a point that are drawn at a time; fewer of `train_spp` are so many at fewer points.
 TRAINING_PASS = 16
+# Samples of a point in a round with fewer than that on average. More at fewer points leave the same
+# residual (within 3 %, Cornell box and occluders at 256 x 256), and points cost their gather lists.
+SAMPLES_A_POINT = 32
 # Samples of the first round and of all rounds at most; each round has about as many as all before. Two
 # rounds are always drawn: fewer samples would save less than what else a render takes before it begins.
 FIRST_ROUND = 1 << 16
@@ -19,8 +22,9 @@ LARGEST_SHARE = 0.25
 HELD_OUT_POINTS = 512
 HELD_OUT_SHARE = 1 / 16
 # What one use of a training sample and one traced ray cost, in residual samples whose visibility is
-# tested on the device. Never what the clock says, since a render must be the same again.
-USE_COST = 4.0
+# tested on the device. Measured on two loaded cores over four scenes: 1.4 to 2.8, and 3 to 4. Never what
+# the clock says, since a render must be the same again.
+USE_COST = 3.0
 RAY_COST = 3.0
 # Samples of the estimate that reach an error, drawn by density and allocation, are as the residual's
 # variance to this power. Measured at 256 samples a point, where up to 2^18 training samples are doubled:
@@ -68,7 +72,7 @@ def plan(active: int, spp: int, seed: int) -> Budget:
     points = np.arange(active, dtype=np.uint32)
     out = _spread(active, held, generator)[:held] if held else points[:0]
     rest = np.delete(points, out)
-    rest = rest[_spread(len(rest), min(len(rest), -(-sizes[0] // TRAINING_PASS)), generator)]
+    rest = rest[_spread(len(rest), min(len(rest), -(-sizes[0] // SAMPLES_A_POINT)), generator)]
     return Budget(_rounds(rest, sizes), Round(points[out], range(TRAINING_PASS)) if held else None)
 
 
@@ -134,14 +138,14 @@ def _rounds(order: np.ndarray, sizes: list[int]) -> list[Round]:
     begin = given = 0
     for size in sizes:
         unused = len(order) - begin
-        if unused == 0 or (begin == 0 and size > unused * TRAINING_PASS):
+        if unused == 0 or (begin == 0 and size > unused * SAMPLES_A_POINT):
             more = max(1, size // len(order))
             # Whole steps.
             more = more if more < TRAINING_PASS else more // TRAINING_PASS * TRAINING_PASS
             rounds.append(Round(order, range(given, given + more)))
             begin, given = len(order), given + more
             continue
-        samples = min(size, TRAINING_PASS)
+        samples = min(size, SAMPLES_A_POINT)
         count = size // samples
         # What would be too few for a round goes with this one.
         count = unused if (unused - count) * samples < size else count
