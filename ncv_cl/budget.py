@@ -13,8 +13,9 @@ TRAINING_PASS = 16
 # residual (within 3 %, Cornell box and occluders at 256 x 256), and points cost their gather lists.
 SAMPLES_A_POINT = 32
 # Samples of the first round and of all rounds at most; each round has about as many as all before. Two
-# rounds are always drawn: fewer samples would save less than what else a render takes before it begins.
-FIRST_ROUND = 1 << 16
+# rounds are always drawn where they are allowed: with half of that the Cornell box had 2.3 times the
+# error at 256 samples a point, and training was shorter by less than a tenth of a second.
+FIRST_ROUND = 1 << 17
 MOST_SAMPLES = 1 << 21
 # Training samples over samples of the estimate, at most.
 LARGEST_SHARE = 0.25

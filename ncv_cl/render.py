@@ -95,7 +95,7 @@ def render(
     train_spp : float or "auto"
         Training samples a shading point ("ncv"), on average: few samples a point are drawn as more of
         them at fewer points. "auto" draws rounds, each as many as all before, until what the next one is
-        predicted to take off the residual's variance at points held out would not pay for it: from 2^17
+        predicted to take off the residual's variance at points held out would not pay for it: from 2^18
         in all to 2^21, at most `spp` / 4 a point (half a million where guided paths learn from them
         too, and for the slides' preset). Their own estimate enters the image by its inverse variance.
     size : (int, int)
