@@ -11,7 +11,7 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from schedules import PASSES, measure_schedules, schedule_table
+from schedules import PASSES, SEEDS, measure_schedules, schedule_table
 from training import CASES, TrainingCase
 
 from ncv_cl.choose import choose_device
@@ -53,8 +53,9 @@ def main() -> None:
                 }
             )
             report_line(rows[-1], size)
-        passes = PASSES[:2] if options.quick else PASSES
-        schedules[f"{scene} {integrand}"] = measure_schedules(case, budgets[-1], passes)
+        passes, seeds = (PASSES[:2], SEEDS[:1]) if options.quick else (PASSES, SEEDS)
+        found = measure_schedules(case, budgets[-1], passes, seeds)
+        schedules[f"{scene} {integrand}"] = found
         if not options.quick:
             rows.append(large_image(device, scene, integrand))
             report_line(rows[-1], LARGE)

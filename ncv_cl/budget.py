@@ -10,7 +10,7 @@ import numpy as np
 # Samples of a point that are drawn at a time; fewer of `train_spp` are so many at fewer points.
 TRAINING_PASS = 16
 # Samples of a point in a round with fewer than that on average. More at fewer points leave the same
-# residual (within 3 %, Cornell box and occluders at 256 x 256), and points cost their gather lists.
+# residual (within 4 %, Cornell box and occluders at 256 x 256), and points cost their gather lists.
 SAMPLES_A_POINT = 32
 # Samples of the first round and of all rounds at most; each round has about as many as all before. Two
 # rounds are always drawn where they are allowed: with half of that the Cornell box had 2.3 times the
@@ -23,8 +23,8 @@ LARGEST_SHARE = 0.25
 HELD_OUT_POINTS = 512
 HELD_OUT_SHARE = 1 / 16
 # What one use of a training sample and one traced ray cost, in residual samples whose visibility is
-# tested on the device. Measured on two loaded cores over four scenes: 1.4 to 2.8, and 3 to 4. Never what
-# the clock says, since a render must be the same again.
+# tested on the device. Measured on two loaded cores: 1.4 to 2.5, beside what each round takes to begin,
+# and 3 to 4. Never what the clock says, since a render must be the same again.
 USE_COST = 3.0
 RAY_COST = 3.0
 # Samples of the estimate that reach an error, drawn by density and allocation, are as the residual's
