@@ -1,4 +1,4 @@
-"""Residual variance against training seconds, for both presets over the shipped scenes.
+"""Residual variance against training seconds: both presets and other schedules, shipped scenes.
 
 Residual: variance of f − g over variance of f, independent samples, mean over points, fresh samples.
 Seconds are one run each on the device named; compare them within this run only.
@@ -11,6 +11,7 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from schedules import PASSES, SEEDS, measure_schedules, schedule_table
 from training import CASES, TrainingCase
 
 from ncv_cl.choose import choose_device
@@ -31,7 +32,7 @@ def main() -> None:
     device = choose_device(options.device)
     size, budgets = (32, (4, 16)) if options.quick else (96, (4, 16, 64))
     print(f"{device.identity}\n{size} x {size} points")
-    rows = []
+    rows, schedules = [], {}
     for scene, integrand in CASES:
         case = TrainingCase(device, scene, integrand, size)
         compiled = set()
@@ -52,11 +53,18 @@ def main() -> None:
                 }
             )
             report_line(rows[-1], size)
+        passes, seeds = (PASSES[:2], SEEDS[:1]) if options.quick else (PASSES, SEEDS)
+        found = measure_schedules(case, budgets[-1], passes, seeds)
+        schedules[f"{scene} {integrand}"] = found
         if not options.quick:
             rows.append(large_image(device, scene, integrand))
             report_line(rows[-1], LARGE)
+    print(f"residual over the default's after the same seconds, {budgets[-1]} samples a point, "
+          f"{' / '.join(map(str, passes))} passes of the default")  # fmt: skip
+    print("\n".join(schedule_table(schedules)))
     if options.json:
-        report = {"device": device.identity, "size": size, "runs": rows}
+        every = [{"case": name, **row} for name, found in schedules.items() for row in found]
+        report = {"device": device.identity, "size": size, "runs": rows, "schedules": every}
         Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     if options.plot:
         plot([row for row in rows if "size" not in row], device.identity, options.plot)

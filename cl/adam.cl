@@ -51,38 +51,27 @@ void update_entries(global const float *restrict rates, const uint first, const 
 }
 #else
 /* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second moment for
- * all its features and no first one: entries are touched too rarely for momentum. The moments of an entry
- * correct themselves. */
+ * all its features and no first one: entries are touched too rarely for momentum. The share of the present
+ * gradients in the moving average corrects its start from zero, entry by entry. */
 void update_entries(global const float *restrict rates, const uint first, const uint end,
                     global const uint *restrict entries, global const uint *restrict starts,
                     global const uint *restrict places, global const float *restrict weights,
                     global const float *restrict grid_gradient, global float *restrict table) {
-  float gradient[VEC * GRID_FEATURES];
-  float squares[VEC];
-  float moment[VEC];
-  float share[VEC];
-  for (uint e = 0; e < VEC; ++e) {
-    const uint item = min(first + e, end - 1);
-    STORE_ENTRY(gather_gradient(item, starts, places, weights, grid_gradient), gradient + e * GRID_FEATURES);
-    squares[e] = 0.0f;
-    for (uint f = 0; f < GRID_FEATURES; ++f)
-      squares[e] += gradient[e * GRID_FEATURES + f] * gradient[e * GRID_FEATURES + f];
-    global const float *restrict own = table + entries[item] * (ulong)ENTRY_FLOATS;
-    moment[e] = own[AT_MOMENT];
-    share[e] = own[AT_MOMENT + 1];
-  }
-  /* The share of the present gradients in the moving average corrects its start from zero, entry by entry. */
-  const real moments = TABLE_BETA2 * LOAD(moment) + ((1.0f - TABLE_BETA2) / GRID_FEATURES * LOAD(squares) + TINY);
-  const real shares = TABLE_BETA2 * LOAD(share) + (1.0f - TABLE_BETA2);
-  float step[VEC];
-  STORE(rates[RATE_TABLE] / (sqrt(moments / shares) + ADAM_EPSILON), step);
-  STORE(moments, moment);
-  STORE(shares, share);
-  for (uint e = 0; e < VEC && first + e < end; ++e) {
-    global float *restrict own = table + entries[first + e] * (ulong)ENTRY_FLOATS;
-    STORE_ENTRY(LOAD_ENTRY(own) - step[e] * LOAD_ENTRY(gradient + e * GRID_FEATURES), own);
-    own[AT_MOMENT] = moment[e];
-    own[AT_MOMENT + 1] = share[e];
+  const float rate = rates[RATE_TABLE];
+  for (uint item = first; item < min(first + VEC, end); ++item) {
+    const entry_features gradient = gather_gradient(item, starts, places, weights, grid_gradient);
+    float each[GRID_FEATURES];
+    STORE_ENTRY(gradient, each);
+    float squares = 0.0f;
+#pragma unroll
+    for (uint f = 0; f < GRID_FEATURES; ++f) squares += each[f] * each[f];
+    global float *restrict own = table + entries[item] * (ulong)ENTRY_FLOATS;
+    const float moment =
+        TABLE_BETA2 * own[AT_MOMENT] + ((1.0f - TABLE_BETA2) / GRID_FEATURES * squares + TINY);
+    const float share = TABLE_BETA2 * own[AT_MOMENT + 1] + (1.0f - TABLE_BETA2);
+    STORE_ENTRY(LOAD_ENTRY(own) - rate / (sqrt(moment / share) + ADAM_EPSILON) * gradient, own);
+    own[AT_MOMENT] = moment;
+    own[AT_MOMENT + 1] = share;
   }
 }
 #endif

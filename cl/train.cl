@@ -30,15 +30,24 @@
 #define FEATURE_BLOCKS (FEATURE_FLOATS / VEC)
 /* Rows of theta that one pass over the features computes, so that a loaded feature serves several. */
 #define ROW_BLOCK (HEAD_ROWS < 8 ? 1 : 8)
-/* Vectors of features that one pass over a tile's columns takes; on a GPU the work-items share them. */
+/* Rows of theta and vectors of features that one pass over a tile's columns computes gradients of: as many sums
+ * as registers hold, from few loads. On a GPU the work-items share the vectors. */
 #if LANES > 1
+#define GRADIENT_ROWS ROW_BLOCK
 #define BLOCKS_AT_ONCE 1
+#else
+#define GRADIENT_ROWS 4
+#if FEATURE_FLOATS / VEC % 5 == 0
+#define BLOCKS_AT_ONCE 5
+#elif FEATURE_FLOATS / VEC % 4 == 0
+#define BLOCKS_AT_ONCE 4
 #elif FEATURE_FLOATS / VEC % 3 == 0
 #define BLOCKS_AT_ONCE 3
 #elif FEATURE_FLOATS / VEC % 2 == 0
 #define BLOCKS_AT_ONCE 2
 #else
 #define BLOCKS_AT_ONCE 1
+#endif
 #endif
 /* Features that one pass over the rows of theta computes gradients of. */
 #define GRID_BLOCK (GRID_ROWS < 8 ? GRID_ROWS : 8)
@@ -231,17 +240,17 @@ void w2_gradient(const int lane, const int is_first, const float scale, local co
   }
 }
 
-/* The heads' gradient, ROW_BLOCK rows by BLOCKS_AT_ONCE vectors of features at a time. */
+/* The heads' gradient, GRADIENT_ROWS rows by BLOCKS_AT_ONCE vectors of features at a time. */
 void heads_gradient(const int lane, const int is_first, const float scale,
                     local const real *restrict feature_columns, local const float *restrict delta_theta,
                     global float *restrict own) {
   const int blocks = FEATURE_BLOCKS / BLOCKS_AT_ONCE;
-  for (int p = lane; p < (HEAD_ROWS + ROW_BLOCK - 1) / ROW_BLOCK * blocks; p += LANES) {
-    const int row = p / blocks * ROW_BLOCK;
+  for (int p = lane; p < (HEAD_ROWS + GRADIENT_ROWS - 1) / GRADIENT_ROWS * blocks; p += LANES) {
+    const int row = p / blocks * GRADIENT_ROWS;
     const int block = p % blocks * BLOCKS_AT_ONCE;
-    real sum[ROW_BLOCK][BLOCKS_AT_ONCE];
+    real sum[GRADIENT_ROWS][BLOCKS_AT_ONCE];
 #pragma unroll
-    for (int r = 0; r < ROW_BLOCK; ++r) {
+    for (int r = 0; r < GRADIENT_ROWS; ++r) {
 #pragma unroll
       for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = (real)0.0f;
     }
@@ -250,7 +259,7 @@ void heads_gradient(const int lane, const int is_first, const float scale,
 #pragma unroll
       for (int k = 0; k < BLOCKS_AT_ONCE; ++k) feature[k] = feature_columns[t * FEATURE_BLOCKS + block + k];
 #pragma unroll
-      for (int r = 0; r < ROW_BLOCK; ++r) {
+      for (int r = 0; r < GRADIENT_ROWS; ++r) {
         const real delta = (real)delta_theta[min(row + r, HEAD_ROWS - 1) * TILE + t];
 #pragma unroll
         for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = FMA(delta, feature[k], sum[r][k]);
@@ -258,7 +267,7 @@ void heads_gradient(const int lane, const int is_first, const float scale,
     }
     global float *restrict head = own + AT_HEADS + row * FEATURE_FLOATS + block * VEC;
 #pragma unroll
-    for (int r = 0; r < ROW_BLOCK; ++r) {
+    for (int r = 0; r < GRADIENT_ROWS; ++r) {
       if (row + r < HEAD_ROWS) {
 #pragma unroll
         for (int k = 0; k < BLOCKS_AT_ONCE; ++k)

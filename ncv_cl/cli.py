@@ -82,7 +82,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         type=_train_spp,
         default="auto",
         metavar="M",
-        help="training samples a shading point on average, may be fractional",
+        help="training samples a shading point on average, may be fractional; auto: while they pay",
     )
     add("--preset", choices=PRESETS, default="default", help="network and training schedule")
     add("--density", choices=DENSITIES, help="sampling of the residual (default: the preset's)")

@@ -185,8 +185,9 @@ def estimate(
         Values of f.
     method : {"ncv", "mc"}
     sampler, spp, train_spp, seed, preset, density, allocation, device
-        As `render` takes them; `spp` and `train_spp` are samples a point. The preset is by default the
-        one of least residual, for each of few integrals bears a wider network.
+        As `render` takes them; `spp` and `train_spp` are samples a point. A call of f counts as much
+        as a cheap sample of a scene where "auto" weighs what training costs. The preset is by default
+        the one of least residual, for each of few integrals bears a wider network.
 
     Returns
     -------
@@ -214,8 +215,9 @@ def estimate(
     shading, cube = _points_of(device, points, features)
     source = CallableSource(device, shading, f, channels, sampler, seed)
     variate = training = None
+    about: dict[str, object] = {}
     if method == "ncv":
-        variate, training = _control_variate(device, source, settings, cube, watch)
+        variate, training, about = _control_variate(device, source, settings, cube, watch)
     if variate is not None and variate.density is not None and settings.allocates:
         chosen = Allocation.of_counts(allocate(variate.density.magnitude, spp))
     else:
@@ -233,6 +235,7 @@ def estimate(
         "seconds": {**watch.seconds, "total": time.perf_counter() - started},
         "samples_per_point": float(results[0].samples.mean()),
         "training_samples_per_point": float(training.samples.mean()) if training else 0.0,
+        "training": about,
         "device": device.identity,
     }
     if residual is not None and training is not None and training.variance.any():
@@ -269,15 +272,16 @@ def _points_of(
 
 def _control_variate(
     device: Device, source: CallableSource, settings: RenderSettings, cube: GridCube, watch: Stopwatch
-) -> tuple[ControlVariate | None, Estimate]:
-    """The control variate, None where training diverged twice; and the training samples' estimate."""
+) -> tuple[ControlVariate | None, Estimate, dict[str, object]]:
+    """The control variate, None where training diverged twice; training's estimate and statistics."""
     learned = learn(device, cube, source, settings, ("position",), lambda _: None, watch, lambda: False)
     if learned.network is None:
-        return None, learned.estimate
+        return None, learned.estimate, learned.statistics
     folded = FoldedNetwork(device, learned.network, source.points)
     predictor = table = None
     if settings.uses_density or settings.allocates:
         predictor = learn_density(device, source.points, folded, learned.trainer, None)
         table = tabulate(device, predictor, learned.network, source.points)
     integral = integrals_of(device, folded, source.points.active)
-    return ControlVariate(folded, integral, table, predictor), learned.estimate
+    variate = ControlVariate(folded, integral, table, predictor)
+    return variate, learned.estimate, learned.statistics

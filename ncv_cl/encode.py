@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -221,39 +222,54 @@ class GridIndex:
         number = np.cumsum(is_touched, dtype=np.uint32) - np.uint32(1)
         corner = number[corner]
         self.corner = HostArray.of(device, np.ascontiguousarray(corner.T))
-        keys, numbers = self._sorted_keys(corner, batches)
-        entry = (keys >> np.uint64(32)).astype(np.uint32)
-        lengths = np.array([len(batch) for batch in batches]) * len(corner)
-        firsts = np.cumsum(lengths) - lengths
-        is_first = np.empty(len(keys), bool)
-        np.not_equal(entry[1:], entry[:-1], out=is_first[1:])
-        is_first[firsts] = True
-        ends = np.cumsum(np.add.reduceat(is_first, firsts, dtype=np.int64)).tolist()
-        self.batches = [range(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-        starts = np.append(np.flatnonzero(is_first), len(keys)).astype(np.uint32)
-        number = (keys & np.uint64(0xFFFFFFFF)).astype(np.uint32)
-        # By number of a pair, for one minibatch: its row of corners and its column.
-        row, column = np.divmod(np.arange(numbers.size, dtype=np.uint32), np.uint32(numbers.shape[1]))
-        places = column * np.uint32(encoding.grid_rows) + row // 8 * np.uint32(encoding.grid_features)
-        begin = np.repeat(np.array([batch.start for batch in batches], np.uint32), lengths)
-        pair = row[number].astype(np.int64) * weight.shape[1] + (begin + column[number])
-        parts = entry[is_first], starts, places[number], weight.ravel()[pair]
-        self.arrays = tuple(HostArray.of(device, part) for part in parts)
-
-    def _sorted_keys(self, corner: np.ndarray, batches: list[range]) -> tuple[np.ndarray, np.ndarray]:
-        """Entry and number of each pair in one word, sorted within each minibatch; and the numbers.
-
-        Sorting plain words is many times faster than finding a stable order.
-        """
-        largest = max(map(len, batches))
-        numbers = np.arange(len(corner) * largest, dtype=np.uint64).reshape(len(corner), largest)
-        keys = np.empty(corner.size, np.uint64)
-        begin = 0
+        parts: list[list[np.ndarray]] = [[], [], [], []]
+        self.batches = []
+        entries = pairs = 0
+        # Batch by batch, so that what is sorted and gathered stays in the cache.
         for batch in batches:
-            own = keys[begin : begin + len(corner) * len(batch)]
-            view = own.reshape(len(corner), len(batch))
-            np.left_shift(corner[:, batch.start : batch.stop], np.uint64(32), out=view)
-            view |= numbers[:, : len(batch)]
-            own.sort()
-            begin += len(own)
-        return keys, numbers
+            own = slice(batch.start, batch.stop)
+            entry, starts, number = _by_entry(corner[:, own])
+            place = _places(encoding, len(batch))[number]
+            found = entry, starts + np.uint32(pairs), place, weight[:, own].ravel()[number]
+            for part, array in zip(parts, found, strict=True):
+                part.append(array)
+            self.batches.append(range(entries, entries + len(entry)))
+            entries += len(entry)
+            pairs += len(number)
+        parts[1].append(np.array([pairs], np.uint32))
+        self.arrays = tuple(HostArray.of(device, np.concatenate(part)) for part in parts)
+
+
+def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pairs of corner and column, in the order of their entries.
+
+    Parameters
+    ----------
+    corner : ndarray
+        uint32 (levels * 8, columns), the entries.
+
+    Returns
+    -------
+    entry, starts, number : ndarray
+        Each entry once (uint32), where its pairs begin (uint32), and every pair's number in `corner`.
+    """
+    # Entry and number in one word, a short one if they fit: sorting plain words is many times faster
+    # than finding an order.
+    bits = (corner.size - 1).bit_length()
+    word = np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
+    keys = corner.astype(word).ravel()
+    keys <<= word(bits)
+    keys |= np.arange(keys.size, dtype=word)
+    keys.sort()
+    entry = keys >> word(bits)
+    starts = np.flatnonzero(np.append(True, entry[1:] != entry[:-1]))
+    number = (keys & word((1 << bits) - 1)).astype(np.intp)
+    return entry[starts].astype(np.uint32), starts.astype(np.uint32), number
+
+
+@functools.lru_cache(maxsize=4)
+def _places(encoding: Encoding, columns: int) -> np.ndarray:
+    """Where the gradient of each pair's feature row stands, uint32 (levels * 8 * columns,)."""
+    row, column = np.divmod(np.arange(encoding.grid_levels * 8 * columns, dtype=np.uint32), columns)
+    places = column * encoding.grid_rows + row // 8 * encoding.grid_features
+    return places.astype(np.uint32)

@@ -9,7 +9,7 @@ from .auto import Prediction, predict
 from .device import Device
 from .estimate import Estimator
 from .estimation import Estimation
-from .learn import AUTO_TRAINING_SAMPLES, TRAINING_PASS
+from .learn import training_budget
 from .sampler import Stream
 from .samples import Batches
 from .settings import RenderSettings, Stopwatch
@@ -32,8 +32,7 @@ def predict_from_first_pass(
     active = source.points.active
     training = 0.0
     if settings.guides:
-        chosen, samples = settings.training_points(active, TRAINING_PASS, AUTO_TRAINING_SAMPLES)
-        training = len(chosen) * samples / active
+        training = sum(part.count for part in training_budget(settings, active).rounds) / active
     return predict(
         device,
         estimation.first_estimate(),

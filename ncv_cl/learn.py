@@ -9,25 +9,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .alpha import can_scale, control_coefficients
+from .budget import TRAINING_PASS, Budget, Round, pays, plan
 from .density import DensityNetwork, DensityTrainer
 from .device import Device, HostArray
 from .encode import GridCube
 from .estimate import Estimate, Estimator
+from .held_out import HeldOut
 from .network import FoldedNetwork, Network
 from .points import ShadingPoints
 from .presets import PRESETS, Preset
 from .sampler import Stream
-from .samples import Batches
+from .samples import Batch, Batches
 from .settings import RenderSettings, Stopwatch
 from .train import Trainer, TrainSettings
 
-# Samples of a point that are drawn at a time; fewer on average are so many at fewer points.
-TRAINING_PASS = 16
-# `train_spp` "auto": samples in all, since a network's need depends on the scene and not on pixels, and
-# how often each is used. Twice as many, or as often, lowered the error by less than they cost (one seed
-# at 64 samples a point, Cornell box and occluders).
-AUTO_TRAINING_SAMPLES = 1 << 19
+# How often a sample is used with `train_spp` "auto".
 AUTO_PASSES = 2
+# Samples in all with "auto" where held-out variance does not decide.
+UNDECIDED_SAMPLES = 1 << 19
 # Few points make few steps of a pass; samples are used more often then, up to so often. Points that fit
 # one minibatch bear many steps; where there are more, with few samples each, the network soon knows the
 # samples by heart.
@@ -49,12 +48,17 @@ class Learned:
     network : Network, optional
         None where training diverged twice.
     trainer : Trainer
-        Holds the samples, for the density.
+        Holds the samples of the last round, for the density.
+    statistics : dict
+        ``samples`` in all, the ``passes`` over those of the last round, ``rounds``; and ``held_out``,
+        after each round the variance of f - g over that of f at points that are not trained on. Empty
+        where no points were held out.
     """
 
     estimate: Estimate
     network: Network | None
     trainer: Trainer
+    statistics: dict[str, object]
 
 
 def learn(
@@ -84,24 +88,154 @@ def learn(
     with watch("train"):
         description = preset.description(settings.integrand, inputs)
         start = Network.random(description, cube, settings.seed)
-        chosen, samples = settings.training_points(
-            source.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
-        )
         factors = factor(description.demodulated)
-    passes = AUTO_PASSES if settings.train_spp == "auto" else preset.settings.passes
+    learning = _Learning(device, source, settings, start, factors, watch, stop)
     for slower in (1.0, 0.1):
-        rate = preset.settings.rate * slower
-        schedule = replace(
-            preset.settings,
-            rate=rate,
-            final_rate=min(rate, preset.settings.final_rate),
-            passes=_enough_passes(preset, min(passes, preset.settings.passes), len(chosen), samples),
-        )
-        learned = _fit(device, source, settings, start, schedule, chosen, samples, factors, watch, stop)
+        learned = learning.attempt(slower)
         if learned.network is not None:
             return learned
     warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=5)
     return learned
+
+
+def training_budget(settings: RenderSettings, active: int) -> Budget:
+    """The samples that training `active` points may take.
+
+    Held-out variance decides where it tells all that samples are good for: guides learn from them too,
+    and a schedule of whole frames needs every point.
+    """
+    if settings.train_spp == "auto" and PRESETS[settings.preset].subset and not settings.guides:
+        return plan(active, settings.spp, settings.seed)
+    chosen, samples = settings.training_points(active, TRAINING_PASS, UNDECIDED_SAMPLES)
+    return Budget([Round(chosen, range(samples))])
+
+
+@dataclass(frozen=True)
+class _Learning:
+    """What the attempts to train one network share."""
+
+    device: Device
+    source: Batches
+    settings: RenderSettings
+    start: Network
+    factors: HostArray | None
+    watch: Stopwatch
+    stop: Callable[[], bool]
+
+    def attempt(self, slower: float) -> Learned:
+        """Train from the start at `slower` times the rate; without a network if that diverged."""
+        source, settings = self.source, self.settings
+        budget = training_budget(settings, source.points.active)
+        rays = source.rays.traced
+        estimator = Estimator(self.device, source.points, settings.integrand.channels)
+        held_out = None
+        if budget.held_out is not None:
+            chosen, samples = budget.held_out.chosen, budget.held_out.samples
+            held_out = HeldOut(self.device, source.points, chosen, estimator.channels, self.factors)
+            self._draw(chosen, samples, estimator, held_out.store)
+        trainer: Trainer | None = None
+        losses: list[float] = []
+        found: list[tuple[int, float, float]] = []
+        used = 0
+        for number, current in enumerate(budget.rounds, 1):
+            schedule = self._schedule(slower, current)
+            trainer = self._train(schedule, current, estimator, trainer, losses)
+            used += current.count
+            if held_out is not None and np.isfinite(losses[-1]):
+                with self.watch("train"):
+                    found.append((used, *held_out.variances(trainer.network())))
+            if number == len(budget.rounds) or not np.isfinite(losses[-1]) or self.stop():
+                break
+            traced = (source.rays.traced - rays) / (used + budget.held_out.count)
+            if not self._pays(found, slower, budget.rounds[number], traced):
+                break
+        with self.watch("train"):
+            network = trainer.network()
+        about: dict[str, object] = {
+            "samples": used,
+            "passes": schedule.passes,
+            "rounds": number,
+            "held_out": [left / plain if plain else 0.0 for _, left, plain in found],
+        }
+        network = None if _diverged(network, losses) else network
+        return Learned(estimator.result(), network, trainer, about)
+
+    def _pays(
+        self,
+        found: list[tuple[int, float, float]],
+        slower: float,
+        following: Round,
+        rays: float,
+    ) -> bool:
+        samples = float(self.settings.spp) * self.source.points.active
+        passes = self._schedule(slower, following).passes
+        return pays([(used, left) for used, left, _ in found], following, passes, samples, rays)
+
+    def _schedule(self, slower: float, current: Round) -> TrainSettings:
+        preset = PRESETS[self.settings.preset]
+        schedule = preset.settings
+        passes = schedule.passes
+        if self.settings.train_spp == "auto":
+            passes = min(passes, AUTO_PASSES)
+        rate = schedule.rate * slower
+        return replace(
+            schedule,
+            rate=rate,
+            final_rate=min(rate, schedule.final_rate),
+            passes=_enough_passes(preset, passes, len(current.chosen), len(current.samples)),
+        )
+
+    def _train(
+        self,
+        schedule: TrainSettings,
+        current: Round,
+        estimator: Estimator,
+        previous: Trainer | None,
+        losses: list[float],
+    ) -> Trainer:
+        """One round, in parts if its samples are too many to be held; adds each part's loss."""
+        chosen, numbers = current.chosen, current.samples
+        held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
+        firsts = range(numbers.start, numbers.stop - held + 1, held)
+        with self.watch("train"):
+            trainer = Trainer(
+                self.device, self.start, self.source.points, schedule, chosen, held,
+                self.settings.seed, self.factors, previous,
+            )  # fmt: skip
+        for first in firsts:
+            part = range(first, first + held)
+            self._draw(chosen, part, estimator, trainer.store)
+            with self.watch("train"):
+                losses.append(trainer.fit(len(firsts)))
+            if not np.isfinite(losses[-1]) or (first != firsts[-1] and self.stop()):
+                break
+        return trainer
+
+    def _draw(
+        self,
+        chosen: np.ndarray,
+        numbers: range,
+        estimator: Estimator,
+        store: Callable[[Batch, int], None],
+    ) -> None:
+        """Draw samples of the chosen points, for the estimate and to be stored."""
+        source, watch = self.source, self.watch
+        order = HostArray.of(self.device, chosen)
+        for first in range(numbers.start, numbers.stop, TRAINING_PASS):
+            part = range(first, min(first + TRAINING_PASS, numbers.stop))
+            for batch_points in source.batches(len(chosen)):
+                batch = source.draw(batch_points, part, Stream.TRAINING, order)
+                with watch("estimate"):
+                    estimator.add(batch, part.start)
+                with watch("train"):
+                    store(batch, part.start - numbers.start)
+                    self.device.queue.finish()
+            estimator.finish_pass(np.full(len(chosen), len(part)), chosen)
+
+
+def _diverged(network: Network, losses: list[float]) -> bool:
+    finite = np.isfinite(network.parameters).all() and np.isfinite(network.table).all()
+    return not (finite and losses[-1] < 2.0 * losses[0])
 
 
 def _enough_passes(preset: Preset, passes: int, points: int, samples: int) -> int:
@@ -113,52 +247,6 @@ def _enough_passes(preset: Preset, passes: int, points: int, samples: int) -> in
     wanted = FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else FEWEST_STEPS
     steps = batches * max(1, samples // schedule.samples_a_step)
     return max(passes, min(MOST_PASSES, -(-wanted // steps)))
-
-
-def _fit(
-    device: Device,
-    source: Batches,
-    settings: RenderSettings,
-    start: Network,
-    schedule: TrainSettings,
-    chosen: np.ndarray,
-    samples: int,
-    factor: HostArray | None,
-    watch: Stopwatch,
-    stop: Callable[[], bool],
-) -> Learned:
-    """One attempt; without a network if it diverged."""
-    points = source.points
-    held = min(samples, max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
-    rounds = [range(s, s + held) for s in range(0, samples - held + 1, held)]
-    estimator = Estimator(device, points, settings.integrand.channels, chosen=chosen)
-    with watch("train"):
-        trainer = Trainer(device, start, points, schedule, chosen, held, settings.seed, factor)
-        order = HostArray.of(device, chosen)
-    losses = []
-    for held_samples in rounds:
-        for first in range(held_samples.start, held_samples.stop, TRAINING_PASS):
-            part = range(first, min(first + TRAINING_PASS, held_samples.stop))
-            for batch_points in source.batches(len(chosen)):
-                batch = source.draw(batch_points, part, Stream.TRAINING, order)
-                with watch("estimate"):
-                    estimator.add(batch)
-                with watch("train"):
-                    trainer.store(batch, part.start - held_samples.start)
-                    device.queue.finish()
-            estimator.finish_pass(len(part))
-        with watch("train"):
-            losses.append(trainer.fit(len(rounds)))
-        if stop() or not np.isfinite(losses[-1]):
-            break
-    with watch("train"):
-        network = trainer.network()
-    diverged = not (
-        np.isfinite(network.parameters).all()
-        and np.isfinite(network.table).all()
-        and losses[-1] < 2.0 * losses[0]
-    )
-    return Learned(estimator.result(), None if diverged else network, trainer)
 
 
 def learn_alpha(

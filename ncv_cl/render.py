@@ -89,8 +89,10 @@ def render(
         Samples a shading point on average: of the residual for "ncv", of the integrand for "mc".
     train_spp : float or "auto"
         Training samples a shading point ("ncv"), on average: few samples a point are drawn as more of
-        them at fewer points. "auto" draws half a million in all, at most `spp` / 4 a point. Their own
-        estimate enters the image by its inverse variance.
+        them at fewer points. "auto" draws rounds, each as many as all before, until what the next one is
+        predicted to take off the residual's variance at points held out would not pay for it: from 2^18
+        in all to 2^21, at most `spp` / 4 a point (half a million where guided paths learn from them
+        too, and for the slides' preset). Their own estimate enters the image by its inverse variance.
     size : (int, int)
         Width and height, pixels.
     supersample : int
@@ -209,6 +211,8 @@ class _Rendering:
         self.prediction: Prediction | None = None
         self.guide: Guide | None = None
         self.points_done_twice = 0
+        # How the network was trained, if it was.
+        self.training: dict[str, object] = {}
         self.keep = _Keep(None, {}, None)
         with self.watch("scene"):
             self.tracer = Tracer(scene, threads)
@@ -314,6 +318,8 @@ class _Rendering:
             self.points, self.source.rays, self.device, plain, self.before, residual,
             network, self.points_done_twice,
         )  # fmt: skip
+        if self.training:
+            image.stats["training"] = self.training
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
         drawn = (plain, self.before) if self.points.active else (None, None)
@@ -351,7 +357,7 @@ class _Rendering:
                 self.watch,
                 self.stop,
             )
-            network = learned.network
+            network, self.training = learned.network, learned.statistics
             if guided:
                 with self.watch("guide"):
                     self.guide = self.source.learn_guide()

@@ -103,6 +103,7 @@ class Batches:
         self.device = device
         self.points = points
         self.channels = channels
+        self.rays = RayCount()
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
@@ -164,7 +165,6 @@ class SampleSource(Batches):
         occluders: Occluders | None = None,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
-        self.rays = RayCount()
         self._tracer = tracer
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))

@@ -75,6 +75,17 @@ class TrainSettings:
     weight_power: float = 0.5
 
 
+def minibatches(count: int, columns: int) -> list[range]:
+    """`count` columns cut into runs of about `columns`, of whole tiles of CPUs but for the last.
+
+    A run that ended a column into a tile would keep one thread busy with it while the others wait.
+    """
+    width = min(CPU_MAX_TILE, columns)
+    tiles = -(-count // width)
+    edges = np.linspace(0, tiles, max(1, round(count / columns)) + 1).astype(int) * width
+    return [range(a, b) for a, b in itertools.pairwise(np.minimum(edges, count).tolist())]
+
+
 @dataclass(frozen=True)
 class TrainingSamples:
     """What a `Trainer` keeps of its samples, one column a shading point.
@@ -120,6 +131,10 @@ class Trainer:
         Shuffles the points into minibatches.
     factor : HostArray, optional
         float32 (channels, points.active), what a demodulated network's output is multiplied by.
+    previous : Trainer, optional
+        Of the same description, on other samples: its parameters and their moments go on, `network`
+        itself is not looked at. The learning rate starts anew, as in stochastic gradient descent with
+        warm restarts (Loshchilov and Hutter 2017); the grid's moments do, since theirs are short.
     """
 
     def __init__(
@@ -132,13 +147,15 @@ class Trainer:
         samples: int,
         seed: int,
         factor: HostArray | None = None,
+        previous: Trainer | None = None,
     ) -> None:
         self.device = device
         self.settings = settings
         self.samples = samples
         self._start = network
-        self._steps = 0
-        self._scale = 1.0
+        # Adam's steps so far, and those before this trainer's schedule.
+        self._steps = self._begun = previous._steps if previous else 0
+        self._scale = previous._scale if previous else 1.0
         description = network.description
         count = len(chosen)
         generator = np.random.Generator(np.random.Philox([seed, 1]))
@@ -149,15 +166,17 @@ class Trainer:
         order = chosen[shuffled]
         self._order = HostArray.of(device, order)
         self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
-        batches = max(1, round(count / settings.batch))
-        edges = np.linspace(0, count, batches + 1).astype(int)
-        self._batches = [range(a, b) for a, b in itertools.pairwise(edges)]
+        self._batches = minibatches(count, settings.batch)
         self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
 
         self._layout = PaddedLayout(description, device.vector_width)
-        self._parameters = _Averaged(device, self._layout.pack(network.parameters))
+        if previous is not None:
+            self._parameters, table = previous._parameters, previous._table.read()
+        else:
+            self._parameters = _Averaged(device, self._layout.pack(network.parameters))
+            table = network.table
         moments = 2 * description.encoding.grid_features if settings.table_adam else 2
-        self._table = TouchedTable(device, network.table, self._index.touched, moments)
+        self._table = TouchedTable(device, table, self._index.touched, moments)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
         tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
@@ -178,6 +197,8 @@ class Trainer:
         self._factor = HostArray(device, (channels, stride), np.float32)
         self._weight = HostArray(device, (channels, stride), np.float32)
         self._set_factors(None if factor is None else factor.read()[:, order])
+        if previous is not None and factor is None:
+            self._set_factors(np.full((channels, count), self._scale, np.float32))
 
     def _set_factors(self, factor: np.ndarray | None) -> None:
         """Factors by column, and from them the weights; without factors one for all comes with `fit`."""
@@ -274,7 +295,7 @@ class Trainer:
         for word, values in enumerate((sample, *columns.T, groups, *entries.T)):
             plan[:, word] = values
         step = self._steps + 1.0 + np.arange(len(order))
-        decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum(step / total, 1.0)))
+        decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum((step - self._begun) / total, 1.0)))
         rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
         rates = (
             rate,

@@ -10,6 +10,7 @@ import pytest
 from test_network import ALL_INPUTS, knot_points, random_network
 
 from ncv_cl.device import HostArray
+from ncv_cl.encode import _by_entry
 from ncv_cl.integrands import DirectLight
 from ncv_cl.sampler import Stream
 from ncv_cl.samples import NO_RAY, SampleSource
@@ -158,6 +159,19 @@ def test_the_table_takes_adams_steps_where_it_is_asked_to(device, scenes):
         np.testing.assert_allclose(table.ravel()[picks], value, atol=2e-3 * rate)
 
 
+# So that an entry and a pair's number fit into 32 bits, and so that they do not.
+@pytest.mark.parametrize("entries", [1 << 10, 1 << 30])
+def test_pairs_are_sorted_by_entry_and_number(entries):
+    corner = np.random.default_rng(0).integers(0, entries, (16, 37)).astype(np.uint32)
+    corner[3] = corner[7] = entries - 1
+    entry, starts, number = _by_entry(corner)
+    order = np.argsort(corner.ravel(), kind="stable")
+    assert np.array_equal(number, order)
+    expected, first = np.unique(corner.ravel()[order], return_index=True)
+    assert np.array_equal(entry, expected) and np.array_equal(starts, first)
+    assert entry.dtype == starts.dtype == np.uint32
+
+
 def test_untouched_grid_entries_keep_their_value(one_device, scenes):
     trainer, network, (points, chosen), *_ = prepare(one_device, scenes, PLAIN, grid_entries=4096)
     trainer.fit()
@@ -176,6 +190,29 @@ def test_training_explains_most_of_the_variance(device, scenes, demodulated):
     share = f / factors.mean()
     constant = np.mean(np.var(share, axis=(1, 2)))
     assert final < 0.2 * constant
+
+
+@pytest.mark.parametrize("demodulated", [False, True])
+def test_a_trainer_goes_on_from_another_on_other_points(one_device, scenes, demodulated):
+    settings = TrainSettings(batch=16, passes=16)
+    trainer, network, (points, _), *_ = prepare(
+        one_device, scenes, settings, samples=16, demodulated=demodulated
+    )
+    first = trainer.fit()
+    before = trainer.network()
+    scene, _ = knot_points(one_device, scenes)
+    source = SampleSource(one_device, scene, Tracer(scene), points, DirectLight(), "independent", 5, 16)
+    factor = source.unshadowed_means() if demodulated else None
+    others = np.arange(1, points.active, 2, dtype=np.uint32)
+    second = Trainer(one_device, network, points, settings, others, 16, 11, factor, trainer)
+    same = second.network()
+    assert np.array_equal(before.parameters, same.parameters)
+    assert np.array_equal(before.table, same.table)
+    (part,) = source.batches(len(others))
+    second.store(source.draw(part, range(16), Stream.TRAINING, HostArray.of(one_device, others)), 0)
+    # A new network would begin with a loss many times as large.
+    assert second.fit() < 1.2 * first
+    assert not np.array_equal(before.parameters, second.network().parameters)
 
 
 @pytest.mark.parametrize("demodulated", [False, True])
