@@ -105,9 +105,10 @@ def render(
         From 0 to 2**64 − 1. Same seed, device and scene: the same image, bit for bit.
     preset : {"default", "slides"}
         The network, its schedule and how it is used: what measured best, or the slides' own.
-    density : {"table", "none"}, optional
-        "ncv": sample the residual where a second network predicts that it is large, or uniformly. By
-        default what the preset says.
+    density : {"table", "subdivision", "none"}, optional
+        "ncv": sample the residual where a second network predicts that it is large, constant on 8 × 8
+        cells or linear on the triangles that the control variate's first layer cuts the square into, or
+        uniformly. By default what the preset says.
     allocation : {"magnitude", "pilot", "uniform"}, optional
         How `spp` is spent over the image: "magnitude" gives points samples by their predicted residual
         ("ncv"), "pilot" by their variance in a quarter of the samples, at most 64 ("mc"). By default

@@ -109,7 +109,7 @@ def metadata(
         "method": settings.method,
         "preset": settings.preset,
         "sampler": settings.sampler,
-        "density": "table" if settings.uses_density else "none",
+        "density": settings.residual_density,
         "spp": drawn,
         "train_spp": trained,
         "supersample": settings.supersample,
