@@ -38,7 +38,7 @@ typedef struct {
   float area[MAX_TRIANGLES];
   float scale[MAX_TRIANGLES];   /* what the corners' values are multiplied by */
   float mean[MAX_TRIANGLES];    /* mean of the corners' values */
-  ushort bucket[MAX_TRIANGLES]; /* place on the curve */
+  ushort bucket[MAX_TRIANGLES]; /* cell of the centroid, then its place on the curve */
   ushort order[MAX_TRIANGLES];
   ushort start[BUCKETS];
   int triangles;
@@ -124,7 +124,7 @@ void leader_list_fans(global Workspace *work) {
   work->triangles = triangles;
 }
 
-/* Area, mean of e, scale and place on the curve of every triangle. */
+/* Area, mean of e, scale and cell of every triangle. */
 void measure_triangles(global Workspace *work, const int lane) {
   global const Dcel *d = &work->arrangement;
   for (int t = lane; t < work->triangles; t += LANES) {
@@ -142,16 +142,20 @@ void measure_triangles(global Workspace *work, const int lane) {
     work->mean[t] = mean;
     /* Where all corners are zero there is nothing to scale. */
     work->scale[t] = mean > 0.0f ? quadrature / mean : 0.0f;
-    const uint column = (uint)clamp((int)(centre_x * (float)HILBERT_SIDE), 0, HILBERT_SIDE - 1);
-    const uint row = (uint)clamp((int)(centre_y * (float)HILBERT_SIDE), 0, HILBERT_SIDE - 1);
-    work->bucket[t] = (ushort)hilbert_index(column, row);
+    const int column = clamp((int)(centre_x * (float)HILBERT_SIDE), 0, HILBERT_SIDE - 1);
+    const int row = clamp((int)(centre_y * (float)HILBERT_SIDE), 0, HILBERT_SIDE - 1);
+    work->bucket[t] = (ushort)(row * HILBERT_SIDE + column);
   }
 }
 
 /* The triangles' order along the curve: a counting sort, which keeps the order within a bucket. */
 void leader_sort(global Workspace *work) {
   for (int b = 0; b < BUCKETS; ++b) work->start[b] = 0;
-  for (int t = 0; t < work->triangles; ++t) ++work->start[work->bucket[t]];
+  for (int t = 0; t < work->triangles; ++t) {
+    const uint cell = work->bucket[t];
+    work->bucket[t] = (ushort)hilbert_index(cell % HILBERT_SIDE, cell / HILBERT_SIDE);
+    ++work->start[work->bucket[t]];
+  }
   ushort start = 0;
   for (int b = 0; b < BUCKETS; ++b) {
     const ushort own = work->start[b];
@@ -175,10 +179,14 @@ void leader_certify(global Workspace *work) {
   work->normalisation = integral > 0.0f ? (1.0f - UNIFORM_SHARE) / integral : 0.0f;
 }
 
-/* From the arrangement to measured and sorted triangles; ends with a barrier. */
-void triangulate_faces(global Workspace *work, const int lane) {
+void evaluate_vertices(global Workspace *work, const int lane) {
   global const Dcel *d = &work->arrangement;
   for (int v = lane; v < d->vertices; v += LANES) work->value[v] = magnitude_at(work->cell, d->x[v], d->y[v]);
+}
+
+/* From the arrangement to measured triangles; ends with a barrier. */
+void triangulate_faces(global Workspace *work, const int lane) {
+  evaluate_vertices(work, lane);
   BARRIER();
   if (lane == 0) leader_list_fans(work);
   BARRIER();
@@ -188,8 +196,9 @@ void triangulate_faces(global Workspace *work, const int lane) {
   BARRIER();
 }
 
-/* Writes cumulative probabilities and triangles in their order. */
-void leader_write_triangles(global const Workspace *work, global float *record) {
+/* Sorts the triangles and writes them with their cumulative probabilities. */
+void leader_write_triangles(global Workspace *work, global float *record) {
+  leader_sort(work);
   float total = 0.0f;
   for (int k = 0; k < work->triangles; ++k) {
     const int t = work->order[k];
@@ -220,6 +229,12 @@ void leader_begin(global Workspace *work) {
   leader_begin_unit_square(&work->arrangement);
 }
 
+/* Begins again without lines. */
+void leader_give_up(global Workspace *work, volatile global int *failed) {
+  leader_begin(work);
+  atomic_inc(failed);
+}
+
 /* Zeroes what vector loads touch beyond the numbers in use. */
 void clear_padding(global Workspace *work, const int lane) {
   for (int i = lane; i < MAX_VERTICES; i += LANES) work->arrangement.x[i] = work->arrangement.y[i] = 0.0f;
@@ -242,20 +257,18 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     const ulong point = order[first_point + i];
     BARRIER();
     load_point(work, w1 + point * STRIDE_W1, b1 + point * STRIDE_B1, tables + point * (TABLE_ROW * TABLE_ROW), lane);
+    BARRIER();
     if (lane == 0) leader_begin(work);
     BARRIER();
     add_lines(&work->arrangement, &work->lines, work->crossing, LINES, 1, lane);
     triangulate_faces(work, lane);
     if (!work->certified) {
-      if (lane == 0) leader_begin(work);
+      if (lane == 0) leader_give_up(work, failed);
       BARRIER();
       triangulate_faces(work, lane);
-      if (lane == 0) atomic_inc(failed);
     }
-    if (lane == 0) leader_sort(work);
+    if (lane == 0) leader_write_triangles(work, records + i * (ulong)RECORD_FLOATS);
     BARRIER();
-    global float *record = records + i * (ulong)RECORD_FLOATS;
-    if (lane == 0) leader_write_triangles(work, record);
-    write_vertices(work, record, lane);
+    write_vertices(work, records + i * (ulong)RECORD_FLOATS, lane);
   }
 }
