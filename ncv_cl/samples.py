@@ -230,7 +230,7 @@ class SampleSource(Batches):
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
-        self._files, self._defines = files[:-1], {**defines, "WARPED": 1}
+        self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
         capacity = self._capacity
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
@@ -273,8 +273,8 @@ class SampleSource(Batches):
         self._ray_count.fill(0)
         program, warp = self._program, []
         if density is not None:
-            files, defines = (*self._files, *density.files, "samples"), self._defines | density.defines
-            program = build(self.device, files, defines)
+            files = (*self._warped_files, *density.files, "samples")
+            program = build(self.device, files, self._warped_defines | density.defines)
             warp = [density.records(order, points), self._weight]
         program.kernel("draw_samples")(
             len(points) * stride // self.device.vector_width,
