@@ -12,9 +12,10 @@
  *
  * Triangles are listed along a Hilbert curve through their centroids, by a counting sort over BUCKETS cells of it.
  *
- * Certification as in integrate.cl: the areas must sum to 1. A point that fails (slivers that rounding turned
- * over, lines that are not finite) gets the undivided square, two triangles. A triangle of area zero, or of less
- * than cumulative probabilities can tell apart, is never chosen.
+ * Certification as in integrate.cl: the areas must sum to 1. And a triangle of less probability than cumulative
+ * sums can tell apart may never be chosen, though f - g counts there: the areas of all such triangles of a point must
+ * sum to MISSED_AREA at most, which bounds the bias. A point that fails (slivers that rounding turned over or that are too
+ * many, lines that are not finite) gets the undivided square, two triangles.
  *
  * Joined after dcel.cl. LINES and their arrays are those of the folded network.
  *
@@ -27,6 +28,8 @@
 #define CELLS (DENSITY_BINS * DENSITY_BINS)
 #define HILBERT_SIDE 16
 #define BUCKETS (HILBERT_SIDE * HILBERT_SIDE)
+/* Two roundings of a sum below 1: one of the sum, one of its normalisation. */
+#define LEAST_PROBABILITY 0x1.0p-23f
 
 typedef struct {
   Dcel arrangement;
@@ -165,6 +168,11 @@ void leader_sort(global Workspace *work) {
   for (int t = 0; t < work->triangles; ++t) work->order[work->start[work->bucket[t]]++] = (ushort)t;
 }
 
+/* The integral of a triangle's density, before rounding errors of the whole are divided out. */
+float probability_of(global const Workspace *work, const int t) {
+  return work->area[t] * FMA(work->scale[t] * work->normalisation, work->mean[t], UNIFORM_SHARE);
+}
+
 /* Whether the triangles cover the square, and what their scales are to be multiplied by so that e integrates to
  * what is not uniform. */
 void leader_certify(global Workspace *work) {
@@ -175,8 +183,12 @@ void leader_certify(global Workspace *work) {
     COMPENSATED_ADD(float, area, error, work->area[t]);
     integral = FMA(work->area[t], work->scale[t] * work->mean[t], integral);
   }
-  work->certified = !work->arrangement.failed && fabs(area - 1.0f) <= AREA_TOLERANCE;
   work->normalisation = integral > 0.0f ? (1.0f - UNIFORM_SHARE) / integral : 0.0f;
+  float missed = 0.0f;
+  for (int t = 0; t < work->triangles; ++t)
+    if (probability_of(work, t) < LEAST_PROBABILITY) missed += work->area[t];
+  work->certified =
+      !work->arrangement.failed && fabs(area - 1.0f) <= AREA_TOLERANCE && missed <= MISSED_AREA;
 }
 
 void evaluate_vertices(global Workspace *work, const int lane) {
@@ -202,11 +214,10 @@ void leader_write_triangles(global Workspace *work, global float *record) {
   float total = 0.0f;
   for (int k = 0; k < work->triangles; ++k) {
     const int t = work->order[k];
-    const float scale = work->scale[t] * work->normalisation;
     record[RECORD_CUMULATIVE + k] = total;
-    record[RECORD_SCALES + k] = scale;
+    record[RECORD_SCALES + k] = work->scale[t] * work->normalisation;
     ((global uint *)record)[RECORD_CORNERS + k] = work->corners[t];
-    total = FMA(work->area[t], FMA(scale, work->mean[t], UNIFORM_SHARE), total);
+    total += probability_of(work, t);
   }
   const float inverse = 1.0f / total;
   for (int k = 0; k < work->triangles; ++k)

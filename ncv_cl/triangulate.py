@@ -18,6 +18,8 @@ from .samples import DENSITY_BINS, Warp
 RECORD_BYTES = 64 << 20
 # |sum of areas - 1| beyond which a point's square is left undivided; that of the integrals.
 AREA_TOLERANCE = 1e-5
+# Most of the square that may lie in triangles too small to be chosen: the largest bias there is.
+MISSED_AREA = 1e-6
 # Groups on a GPU: enough to hide latencies.
 GROUPS_PER_COMPUTE_UNIT = 8
 # A triangle's three corners share a word.
@@ -30,7 +32,8 @@ class TriangleWarp(Warp):
     """Density linear on the triangles into which the network's first layer cuts each point's square.
 
     The magnitude at the triangles' corners is that of `density`'s tables, so both densities know the
-    same. Records are built for the points of one batch at a time: they are too large to keep for all.
+    same. Records are built for the points of one batch at a time: they are too large to keep for all
+    (some 5 kB each for 16 lines).
 
     Parameters
     ----------
@@ -44,7 +47,8 @@ class TriangleWarp(Warp):
     ----------
     undivided : int
         Points so far, counted once a batch, whose triangles did not cover the square within
-        `AREA_TOLERANCE` and which are sampled from two triangles instead.
+        `AREA_TOLERANCE`, or more than `MISSED_AREA` of it by slivers, and which are sampled from two
+        triangles instead.
 
     Notes
     -----
@@ -62,6 +66,13 @@ class TriangleWarp(Warp):
     both layers, vertices   0.914               1.014                  0.713             0.627
     both layers, "w"        0.967               1.028                  0.832             0.718
     ======================  ==================  =====================  ================  ===========
+
+    Independent samples so have the table's variance, within 5 %. Sobol points lose part of their
+    spread from triangle to triangle: over Cornell direct, occluders direct, occluders AO and knot AO at
+    16, 64 and 256 samples of 96 × 96 pixels the image's variance is 1.2 to 1.8 times that under the
+    table (4 seeds), with as many seconds of drawing or up to twelve times as many, the more the fewer
+    samples share a record. So the table is the default. Strips from left to right, in which v picks the
+    triangle, in the place of the curve's order gained nothing (−12 to +7 %).
 
     Raises
     ------
@@ -100,6 +111,7 @@ class TriangleWarp(Warp):
             "MAX_FACES": bounds.faces,
             "MAX_TRIANGLES": bounds.triangles,
             "AREA_TOLERANCE": f"{AREA_TOLERANCE!r}f",
+            "MISSED_AREA": f"{MISSED_AREA!r}f",
         }
         self.record_floats = int(self.defines["RECORD_FLOATS"])
         self.most_points = max(1, RECORD_BYTES // (4 * self.record_floats))
