@@ -24,7 +24,8 @@ kernel void draw_coordinates(const uint first_point, const uint point_count, con
   sample_square(point, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream, seed_low, seed_high, &sample_u,
                 &sample_v);
 #if WARPED
-  STORE(warp_square(density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_FLOATS, &sample_u, &sample_v), weight + at);
+  global const float *record = density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_FLOATS;
+  STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
   STORE(sample_u, u + at);
   STORE(sample_v, v + at);
