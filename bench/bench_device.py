@@ -28,6 +28,7 @@ from ncv_cl.choose import choose_device
 from ncv_cl.device import GPU_LANES, Device, HostArray, open_device
 from ncv_cl.encode import Encoding
 from ncv_cl.network import GROUPS, NetworkDescription
+from ncv_cl.presets import PRESETS
 from ncv_cl.program import build
 from ncv_cl.report import package_version
 
@@ -153,12 +154,13 @@ def work_groups(device: Device, quick: bool) -> list[dict]:
 
 def inference_ns(device: Device, quick: bool, group: int = 64) -> float:
     """Nanoseconds a sample of the default network, all its weights per point."""
-    description = NetworkDescription(Encoding(("position",)), 3, (16, 16), GROUPS)
+    hidden = PRESETS["default"].hidden
+    description = NetworkDescription(Encoding(("position",)), 3, hidden, GROUPS)
     generator = np.random.default_rng(0)
     found = {
         name: generator.normal(size=(POINTS, *shape)) for name, shape in description.group_shapes.items()
     }
-    found["W2"] = generator.normal(size=(16, 16))
+    found["W2"] = generator.normal(size=hidden[::-1])
     uv = generator.random((2, POINTS, SAMPLES))
     order = ("W1", "B1", "W2", "B2", "W3", "B3")
     arrays = (*uv, *(found[name] for name in order))

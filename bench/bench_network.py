@@ -29,7 +29,7 @@ POINTS, SAMPLES, CHANNELS = 1024, 256, 3
 NETWORKS = {
     "2x32, bias 1 per point": ((32, 32), ("B1",)),
     "16x16, all per point": ((16, 16), GROUPS),
-    "8x16, all per point": ((8, 16), GROUPS),
+    "8x8, all per point": ((8, 8), GROUPS),
 }
 
 

@@ -43,7 +43,8 @@ def speed_table(device: Device, quick: bool) -> list[dict]:
         "32x32 trained, disc": disc_networks((2, 32, 32, 3), 20000 // scale),
         "16x16 trained, disc": disc_networks((2, 16, 16, 3), 20000 // scale),
         "32x32 Cornell, slides": cornell_networks(device, "slides", size, samples),
-        "16x16 Cornell, default": cornell_networks(device, "default", size, samples),
+        "16x16 Cornell, wide": cornell_networks(device, "wide", size, samples),
+        "8x8 Cornell, default": cornell_networks(device, "default", size, samples),
     }
     rows = []
     print(

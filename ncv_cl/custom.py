@@ -166,7 +166,7 @@ def estimate(
     spp: int = 256,
     train_spp: float | str = "auto",
     seed: int = 0,
-    preset: str = "default",
+    preset: str = "wide",
     density: str | None = None,
     allocation: str | None = None,
     device: Device | int | str | None = None,
@@ -187,7 +187,8 @@ def estimate(
         Values of f.
     method : {"ncv", "mc"}
     sampler, spp, train_spp, seed, preset, density, allocation, device
-        As `render` takes them; `spp` and `train_spp` are samples a point.
+        As `render` takes them; `spp` and `train_spp` are samples a point. The preset is by default the
+        one of least residual, for each of few integrals bears a wider network.
 
     Returns
     -------

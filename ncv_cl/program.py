@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import threading
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,7 @@ class Program:
             options.append("-cl-mad-enable")
         options.append("-cl-kernel-arg-info")
         try:
-            self._program = cl.Program(device.context, source(files)).build(options)
+            self._program = _built(device, source(files), options)
         except cl.RuntimeError as error:
             raise RuntimeError(
                 f"building {' + '.join(files)} failed on {device.name} with {self.defines}:\n{error}"
@@ -140,6 +141,24 @@ class Program:
     def own_kernel(self, name: str) -> Kernel:
         """A kernel that nobody else has, for arguments that are to stay."""
         return Kernel(self.device, cl.Kernel(self._program, name))
+
+
+def _built(device: Device, text: str, options: list[str]) -> cl.Program:
+    """The program with what its kernels say of their arguments.
+
+    Binaries that pyopencl keeps have lost that on Intel's runtime, where the text is compiled once more.
+    """
+    with warnings.catch_warnings():
+        # Intel's compiler reports every build, also those without anything to warn of.
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        program = cl.Program(device.context, text).build(options)
+        try:
+            program.all_kernels()[0].get_arg_info(0, cl.kernel_arg_info.NAME)
+        except cl.RuntimeError as error:
+            if error.code != cl.status_code.KERNEL_ARG_INFO_NOT_AVAILABLE:
+                raise
+            program = cl.Program(device.context, text).build(options, cache_dir=False)
+    return program
 
 
 _programs: dict[tuple[Any, ...], Program] = {}

@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from .allocate import Allocation, allocate
 from .alpha import scale
-from .auto import FIRST_SAMPLES, Prediction, predict
+from .auto import FIRST_SAMPLES, Prediction
 from .checkpoint import Checkpoint
 from .choose import choose_device
 from .density import DensityNetwork, tabulate
@@ -20,30 +20,24 @@ from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .estimation import Estimation
+from .first_pass import predict_from_first_pass
 from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .learn import (
-    AUTO_TRAINING_SAMPLES,
-    TRAINING_PASS,
-    Learned,
-    learn,
-    learn_alpha,
-    learn_density,
-)
+from .learn import Learned, learn, learn_alpha, learn_density
 from .network import FoldedNetwork, Network
 from .passes import Passes, Target, pass_edges
 from .paths import sample_source
 from .points import ShadingPoints, find_points
 from .presets import PRESETS
-from .report import identity, metadata, skips, statistics
+from .report import identity, metadata, seconds_of, skips, statistics
 from .resolve import resolve_image
 from .sampler import Stream
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .shaft import Occluders
 from .trace import Tracer
-from .variate import ControlVariate, idle_neurons, integrals_of
+from .variate import ControlVariate, idle, integrals_of
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 RESIDUAL_PASS = 128
@@ -103,8 +97,9 @@ def render(
         k makes k × k shading points a pixel, averaged by a box filter.
     seed : int
         From 0 to 2**64 − 1. Same seed, device and scene: the same image, bit for bit.
-    preset : {"default", "slides"}
-        The network, its schedule and how it is used: what measured best, or the slides' own.
+    preset : {"default", "wide", "slides"}
+        The network, its schedule and how it is used: what measured best in time to error, the same with
+        twice as many neurons a layer, or the slides' own.
     density : {"table", "subdivision", "none"}, optional
         "ncv": sample the residual where a second network predicts that it is large, constant on 8 × 8
         cells or linear on the triangles that the control variate's first layer cuts the square into, or
@@ -313,31 +308,23 @@ class _Rendering:
         network: Network | None,
     ) -> None:
         """Statistics and metadata."""
-        rays, active = self.source.rays, self.points.active
-        seconds = {**self.watch.seconds, "trace": rays.trace_seconds, "sample": rays.sample_seconds}
-        image.stats = {"seconds": {**seconds, "total": time.perf_counter() - self.started}}
+        image.stats = {
+            "seconds": seconds_of(self.watch, self.source.rays, time.perf_counter() - self.started)
+        }
         image.stats |= statistics(
-            self.points, rays, self.device, plain, self.before, residual,
+            self.points, self.source.rays, self.device, plain, self.before, residual,
             network, self.points_done_twice,
         )  # fmt: skip
-        image.stats["method"] = "ncv" if network is not None else "mc"
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
-        drawn, before = (
-            float(one.samples.mean()) if one is not None and active else 0.0
-            for one in (plain, self.before)
-        )
-        image.metadata = metadata(self.scene, self.settings, self.device, drawn, before)
+        drawn = (plain, self.before) if self.points.active else (None, None)
+        image.metadata = metadata(self.scene, self.settings, self.device, *drawn)
 
     def _skipped(self, variate: ControlVariate | None) -> dict[str, object]:
         """What the scene did not need."""
         inputs = self.settings.integrand.inputs
         found = skips(self.points, self.source.rays, inputs, varying_inputs(self.points, inputs))
-        if variate is not None:
-            found |= idle_neurons(variate.folded, self.points.active)
-            if variate.alpha is not None:
-                found["networks"] = int(np.count_nonzero(np.all(variate.alpha == 0, axis=0)))
-        return found
+        return found | (idle(variate, self.points.active) if variate is not None else {})
 
     # ---- the control variate -------------------------------------------------------------------------
 
@@ -459,39 +446,12 @@ class _Rendering:
             self.device, self.source, settings, allocation, edges, folded, density, self.watch
         )
 
-    def _compile_plain(self) -> None:
-        """Compile what the first pass runs, or compilation would be taken for what samples cost."""
-        rays = replace(self.source.rays)
-        estimator = Estimator(self.device, self.points, self.settings.integrand.channels)
-        estimator.add(self.source.draw(range(1), range(1), Stream.TRAINING))
-        self.device.queue.finish()
-        self.source.rays = rays
-
     def _begin_plain(self) -> Estimation:
         """The first pass of plain Monte Carlo, and from it what is to be expected."""
-        settings = self.settings
         everything = np.arange(self.points.active, dtype=np.uint32)
-        estimation = self._begin(Allocation.uniform(everything, settings.spp), None, FIRST_SAMPLES)
-        with self.watch("compile"):
-            self._compile_plain()
-        started = time.perf_counter()
-        estimation.passes.run("first pass", self.progress, last=1)
-        seconds = time.perf_counter() - started
-        first = estimation.first_estimate()
-        training = 0.0
-        if settings.guides:
-            chosen, samples = settings.training_points(
-                self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
-            )
-            training = len(chosen) * samples / self.points.active
-        self.prediction = predict(
-            self.device,
-            first,
-            estimation.differences(),
-            seconds,
-            settings.spp,
-            settings.guides,
-            training,
+        estimation = self._begin(Allocation.uniform(everything, self.settings.spp), None, FIRST_SAMPLES)
+        self.prediction = predict_from_first_pass(
+            self.device, self.source, self.settings, estimation, self.watch, self.progress
         )
         if self.prediction.method == "ncv":
             self.before = estimation.results()[0]

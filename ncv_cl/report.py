@@ -10,7 +10,7 @@ from .network import Network
 from .points import ShadingPoints
 from .samples import RayCount
 from .scene import Scene
-from .settings import RenderSettings
+from .settings import RenderSettings, Stopwatch
 
 
 def package_version() -> str:
@@ -19,6 +19,12 @@ def package_version() -> str:
         return version("ncv_cl")
     except PackageNotFoundError:
         return "unpackaged"
+
+
+def seconds_of(watch: Stopwatch, rays: RayCount, total: float) -> dict[str, float]:
+    """Seconds of each stage, and of the whole render."""
+    drawing = {"trace": rays.trace_seconds, "sample": rays.sample_seconds}
+    return {**watch.seconds, **drawing, "total": total}
 
 
 def statistics(
@@ -32,8 +38,8 @@ def statistics(
     points_done_twice: int,
 ) -> dict[str, object]:
     """Counts of a render; means are over the image's points, whole numbers where all have the same."""
-    drawn = float(plain.samples.mean()) if points.active else 0.0
-    trained = float(training.samples.mean()) if training else 0.0
+    drawn = _mean_samples(plain) if points.active else 0.0
+    trained = _mean_samples(training)
     found: dict[str, object] = {
         "rays_traced": rays.traced,
         "rays_on_device": rays.on_device,
@@ -44,6 +50,7 @@ def statistics(
         "points_done_twice": points_done_twice,
         "network_inputs": list(network.description.encoding.inputs) if network else [],
         "device": device.identity,
+        "method": "ncv" if network is not None else "mc",
     }
     if points.active:
         found["samples_per_point_range"] = [int(plain.samples.min()), int(plain.samples.max())]
@@ -98,7 +105,11 @@ def identity(
 
 
 def metadata(
-    scene: Scene, settings: RenderSettings, device: Device, drawn: float, trained: float
+    scene: Scene,
+    settings: RenderSettings,
+    device: Device,
+    drawn: Estimate | None,
+    before: Estimate | None,
 ) -> dict[str, object]:
     """What image files carry: enough to render them again."""
     return {
@@ -110,11 +121,16 @@ def metadata(
         "preset": settings.preset,
         "sampler": settings.sampler,
         "density": settings.residual_density,
-        "spp": drawn,
-        "train_spp": trained,
+        "spp": _mean_samples(drawn),
+        "train_spp": _mean_samples(before),
         "supersample": settings.supersample,
         "seed": settings.seed,
         "device": device.identity,
         # Options of the integrand; without an entry: none.
         **{name: value for name, value in vars(settings.integrand).items() if value is not None},
     }
+
+
+def _mean_samples(estimate: Estimate | None) -> float:
+    """Samples a point on average."""
+    return float(estimate.samples.mean()) if estimate is not None else 0.0

@@ -40,6 +40,17 @@ class ControlVariate:
     alpha: np.ndarray | None = None
 
 
+def idle(variate: ControlVariate, points: int) -> dict[str, object]:
+    """What of the network `points` points do not need; see `idle_neurons`.
+
+    ``networks`` are points whose control coefficients are all zero: neither integrated nor evaluated.
+    """
+    found = idle_neurons(variate.folded, points)
+    if variate.alpha is not None:
+        found["networks"] = int(np.count_nonzero(np.all(variate.alpha == 0, axis=0)))
+    return found
+
+
 def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
     """How many first-layer neurons need no line in the square: shares over some of the points.
 

@@ -56,7 +56,7 @@ class OursEstimator(Estimator):
     def __init__(self, device: Device, training: Samples, seed: int, with_density: bool) -> None:
         self._device, self._features = device, training.features
         alone = training.features.shape[1] == 0
-        preset = PRESETS["default"]
+        preset = PRESETS["wide"]
         columns = COLUMNS if alone else training.points
         hidden = ALONE_HIDDEN if alone else preset.hidden
         schedule = replace(preset.settings, passes=PASSES) if alone else preset.settings
