@@ -4,18 +4,18 @@
  * e at a vertex is read off the point's table (warp.cl's record), bilinear between the centres of its cells.
  * On a triangle of corners e0, e1, e2 and centroid m the integral of e over the area is taken as
  *
- *   (e0 + e1 + e2) / 12 + 3/4 e(m)          exact for quadratic functions (Stroud, Approximate Calculation of
- *                                           Multiple Integrals, 1971, formula T2:2-1 with vertices)
+ *   (e0 + e1 + e2) / 12 + 3/4 e(m)          exact for quadratic functions
  *
  * and the corners' values are scaled to it. That is a choice of density; the density itself is then linear, its
- * integrals exact. With a share of UNIFORM_SHARE of it uniform, the values at the corners are scale * e + UNIFORM_SHARE.
+ * integrals exact. With a share of UNIFORM_SHARE of it uniform, the values at the corners are
+ * scale * e + UNIFORM_SHARE.
  *
  * Triangles are listed along a Hilbert curve through their centroids, by a counting sort over BUCKETS cells of it.
  *
  * Certification as in integrate.cl: the areas must sum to 1. And a triangle of less probability than cumulative
  * sums can tell apart may never be chosen, though f - g counts there: the areas of all such triangles of a point must
- * sum to MISSED_AREA at most, which bounds the bias. A point that fails (slivers that rounding turned over or that are too
- * many, lines that are not finite) gets the undivided square, two triangles.
+ * sum to MISSED_AREA at most, which bounds the bias. A point that fails (slivers that rounding turned over, or
+ * too many of them, lines that are not finite) gets the undivided square, two triangles.
  *
  * Joined after dcel.cl. LINES and their arrays are those of the folded network.
  *

@@ -1,9 +1,9 @@
 /* Points of the unit square warped to a density that is linear on each triangle of a triangulation.
  *
- * A record (triangulate.cl) lists triangles in an order in which neighbours in the list are neighbours in the square, with
+ * A record (triangulate.cl) lists triangles so that neighbours in the list are neighbours in the square, with
  * cumulative probabilities; u picks the triangle, and the place of u between its two probabilities and v pick the
- * point in it. So an interval of u is a patch of the square, and points that are well spread in u
- * are well spread over the patches.
+ * point in it. So an interval of u is a patch of the square, and points that are well spread in u are well spread
+ * over the patches. How they lie across patches is not kept, as warp.cl keeps it.
  *
  * Record, 32-bit words: RECORD_COUNT (uint, triangles), RECORD_CUMULATIVE (float, one more than triangles, from
  * 0 to 1), RECORD_CORNERS (uint, three vertices of VERTEX_BITS each), RECORD_SCALES (float, one a triangle),

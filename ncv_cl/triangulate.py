@@ -52,27 +52,28 @@ class TriangleWarp(Warp):
 
     Notes
     -----
-    Mean of r² / p over that of r² (independent samples; r the residual, 9 in 10 parts of p by e), on
-    300 points of 96 × 96 pixels; training samples a point in brackets. "w" is the non-negative
-    combination of the last layer's neurons that minimises mean(r² / e + e), weights by a head of 32
-    units:
+    Mean of r² / p over that of r² (r the residual, independent samples, nine tenths of p by e), of
+    16 × 16 neurons, on 300 points of 96 × 96 pixels; in brackets training samples a point. "w" is the
+    non-negative combination of the last layer's neurons that minimises mean(r² / e + e), weights by a
+    head of 32 units:
 
-    ======================  ==================  =====================  ================  ===========
-    density                 Cornell direct (16)  occluders direct (64)  occluders AO (64)  knot AO (16)
-    ======================  ==================  =====================  ================  ===========
-    table                   0.929               1.047                  0.705             0.620
-    first layer, as here    0.893               1.011                  0.707             0.628
-    first layer, vertices   0.913               1.016                  0.727             0.661
-    both layers, vertices   0.914               1.014                  0.713             0.627
-    both layers, "w"        0.967               1.028                  0.832             0.718
-    ======================  ==================  =====================  ================  ===========
+    ======================  ===========  ================  ============  ========
+    density                 Cornell box  occluders direct  occluders AO  knot AO
+                            direct (16)  (64)              (64)          (16)
+    ======================  ===========  ================  ============  ========
+    table                   0.929        1.047             0.705         0.620
+    first layer, as here    0.893        1.011             0.707         0.628
+    first layer, vertices   0.913        1.016             0.727         0.661
+    both layers, vertices   0.914        1.014             0.713         0.627
+    both layers, "w"        0.967        1.028             0.832         0.718
+    ======================  ===========  ================  ============  ========
 
-    Independent samples so have the table's variance, within 5 %. Sobol points lose part of their
-    spread from triangle to triangle: over Cornell direct, occluders direct, occluders AO and knot AO at
-    16, 64 and 256 samples of 96 × 96 pixels the image's variance is 1.2 to 1.8 times that under the
-    table (4 seeds), with as many seconds of drawing or up to twelve times as many, the more the fewer
-    samples share a record. So the table is the default. Strips from left to right, in which v picks the
-    triangle, in the place of the curve's order gained nothing (−12 to +7 %).
+    So independent samples have the table's variance, within 5 %. Sobol points lose part of their spread
+    from triangle to triangle: on these four at 16, 64 and 256 samples (8 × 8 or 16 × 16 neurons, 4
+    seeds) the image's variance is 1.2 to 1.8 times that under the table, least so at 256. Drawing takes
+    up to 5 times as long with 8 neurons, up to 12 times with 16, most so where few samples share a
+    record, and 0.9 to 2.8 times at 256 samples. So the table is the default. Strips from left to right,
+    in which v picks the triangle, in place of the curve gained nothing for sure (−12 to +7 %).
 
     Raises
     ------
