@@ -16,7 +16,9 @@
  * and `weight` takes one over the density at each sample, by which its value counts.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
- * VEC consecutive samples of one point.
+ * BLOCKS_A_ITEM blocks of VEC consecutive samples of one point, whose own arithmetic (the point, its
+ * scramble, its occluders) they share. Blocks of a point are dealt to its work-items in turn, so that
+ * neighbours write to neighbouring memory.
  */
 
 kernel void draw_samples(const uint first_point, const uint point_count, const uint total_points,
@@ -36,64 +38,79 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global float *restrict directions, global float *restrict distances,
                          volatile global uint *restrict ray_count) {
   const uint blocks = stride / VEC;
+  const uint items_a_point = (blocks + BLOCKS_A_ITEM - 1) / BLOCKS_A_ITEM;
   const uint item = (uint)get_global_id(0);
-  if (item >= point_count * blocks) return;
-  const uint local_point = item / blocks;
-  const uint block = item % blocks;
+  if (item >= point_count * items_a_point) return;
+  const uint local_point = item / items_a_point;
+  const uint first_block = item % items_a_point;
   const uint point = order[first_point + local_point];
-  const ulong at = (ulong)local_point * stride + block * VEC;
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
 
-  const bits index = LANE_NUMBER + block * VEC;
-  real sample_u, sample_v, distance;
-  real sample_value[CHANNELS];
-  real direction[3];
-  sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
+  real direction[BLOCKS_A_ITEM][3];
+  real distance[BLOCKS_A_ITEM];
+  whole live[BLOCKS_A_ITEM];
+  uint count = 0;
+  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
+    const uint block = first_block + k * items_a_point;
+    live[k] = (whole)0;
+    distance[k] = direction[k][0] = direction[k][1] = direction[k][2] = (real)0.0f;
+    if (block >= blocks) continue;
+    const ulong at = (ulong)local_point * stride + block * VEC;
+    const bits index = LANE_NUMBER + block * VEC;
+    real sample_u, sample_v;
+    real sample_value[CHANNELS];
+    sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
 #if WARPED
-  global const float *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_FLOATS;
-  STORE(warp_square(record, &sample_u, &sample_v), weight + at);
+    global const float *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_FLOATS;
+    STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
-  evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction, &distance);
-  STORE(sample_u, u + at);
-  STORE(sample_v, v + at);
-  whole live = (whole)0;
-  for (uint channel = 0; channel < CHANNELS; ++channel) {
-    sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
-    live = live || (sample_value[channel] > 0.0f);
-    STORE(sample_value[channel], value + channel * plane + at);
+    evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);
+    STORE(sample_u, u + at);
+    STORE(sample_v, v + at);
+    for (uint channel = 0; channel < CHANNELS; ++channel) {
+      sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
+      live[k] = live[k] || (sample_value[channel] > 0.0f);
+      STORE(sample_value[channel], value + channel * plane + at);
+    }
+    count += (uint)sum_lanes(SELECT((real)0.0f, (real)1.0f, live[k]));
   }
 
-  float ray[4][VEC];
-  int is_live[VEC];
-  STORE(direction[0], ray[0]);
-  STORE(direction[1], ray[1]);
-  STORE(direction[2], ray[2]);
-  STORE(distance, ray[3]);
-  STORE(live, is_live);
-  uint count = 0;
-  for (uint lane = 0; lane < VEC; ++lane) count += is_live[lane] != 0 ? 1u : 0u;
   const float3 origin = ray_origin(&p);
 #if SHAFTS
   global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
-  const uint occluder_count = own_occluders[0];
-  if (occluder_count != TOO_MANY) {
-    const whole seen = live && !blocked_by(own_occluders, occluder_count, corners, corner_stride, origin, direction);
-    STORE(SELECT((bits)NO_RAY, (bits)SEEN, seen), slot + at);
+  if (own_occluders[0] != TOO_MANY) {
+    close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
+    for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
+      const uint block = first_block + k * items_a_point;
+      if (block < blocks)
+        STORE(SELECT((bits)NO_RAY, (bits)SEEN, live[k]), slot + (ulong)local_point * stride + block * VEC);
+    }
     if (count > 0) atomic_add(ray_count + 1, count);
     return;
   }
 #endif
   uint next = count > 0 ? atomic_add(ray_count, count) : 0u;
-  for (uint lane = 0; lane < VEC; ++lane) {
-    uint own = NO_RAY;
-    if (is_live[lane] != 0) {
-      own = next++;
-      vstore3(origin, own, origins);
-      vstore3((float3)(ray[0][lane], ray[1][lane], ray[2][lane]), own, directions);
-      distances[own] = ray[3][lane];
+  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
+    const uint block = first_block + k * items_a_point;
+    if (block >= blocks) continue;
+    float ray[4][VEC];
+    int is_live[VEC];
+    STORE(direction[k][0], ray[0]);
+    STORE(direction[k][1], ray[1]);
+    STORE(direction[k][2], ray[2]);
+    STORE(distance[k], ray[3]);
+    STORE(live[k], is_live);
+    for (uint lane = 0; lane < VEC; ++lane) {
+      uint own = NO_RAY;
+      if (is_live[lane] != 0) {
+        own = next++;
+        vstore3(origin, own, origins);
+        vstore3((float3)(ray[0][lane], ray[1][lane], ray[2][lane]), own, directions);
+        distances[own] = ray[3][lane];
+      }
+      slot[(ulong)local_point * stride + block * VEC + lane] = own;
     }
-    slot[at + lane] = own;
   }
 }
 

@@ -179,28 +179,57 @@ float3 exact_cross(const float3 a, const float3 b) {
   return first - second;
 }
 
-/* Whether rays from `origin` are blocked on their way to origin + direction by one of the point's occluders. */
-whole blocked_by(global const uint *restrict own, const uint count, global const float *restrict corners,
-                 const uint stride, const float3 origin, const real direction[3]) {
-  whole blocked = (whole)0;
-  for (uint k = 1; k <= count; ++k) {
-    float3 corner[3];
-    for (uint c = 0; c < 3; ++c) {
-      const ulong at = 3 * c * (ulong)stride + own[k];
-      corner[c] = (float3)(corners[at], corners[at + stride], corners[at + 2 * (ulong)stride]) - origin;
-    }
-    const float3 edge[3] = {exact_cross(corner[1], corner[2]), exact_cross(corner[2], corner[0]),
-                            exact_cross(corner[0], corner[1])};
-    const float volume = dot(corner[0], edge[0]);
-    real side[3];
-    for (uint e = 0; e < 3; ++e)
-      side[e] = FMA((real)edge[e].x, direction[0], FMA((real)edge[e].y, direction[1], edge[e].z * direction[2]));
-    const real sum = side[0] + side[1] + side[2];
-    const real low = min(side[0], min(side[1], side[2]));
-    const real high = max(side[0], max(side[1], side[2]));
-    const whole from_front = (low >= 0.0f) && (volume > 0.0f) && (sum > volume);
-    const whole from_back = (high <= 0.0f) && (volume < 0.0f) && (sum < volume);
-    blocked = blocked || from_front || from_back;
+/* A triangle as a point sees it: directions d with edge[k] . d >= 0 for all k pass it on one side, and reach its plane
+ * where their sum exceeds `volume`. */
+typedef struct {
+  float3 edge[3];
+  float volume;
+} Occluder;
+
+Occluder occluder_of(const uint triangle, global const float *restrict corners, const uint stride,
+                     const float3 origin) {
+  float3 corner[3];
+  for (uint c = 0; c < 3; ++c) {
+    const ulong at = 3 * c * (ulong)stride + triangle;
+    corner[c] = (float3)(corners[at], corners[at + stride], corners[at + 2 * (ulong)stride]) - origin;
   }
-  return blocked;
+  Occluder found;
+  found.edge[0] = exact_cross(corner[1], corner[2]);
+  found.edge[1] = exact_cross(corner[2], corner[0]);
+  found.edge[2] = exact_cross(corner[0], corner[1]);
+  found.volume = dot(corner[0], found.edge[0]);
+  return found;
+}
+
+/* Whether rays from the point are blocked on their way to its position + direction. */
+whole is_blocked(const Occluder *occluder, const real direction[3]) {
+  real side[3];
+  for (uint e = 0; e < 3; ++e) {
+    const float3 edge = occluder->edge[e];
+    side[e] = FMA((real)edge.x, direction[0], FMA((real)edge.y, direction[1], edge.z * direction[2]));
+  }
+  const real sum = side[0] + side[1] + side[2];
+  const real low = min(side[0], min(side[1], side[2]));
+  const real high = max(side[0], max(side[1], side[2]));
+  const float volume = occluder->volume;
+  const whole from_front = (low >= 0.0f) && (volume > 0.0f) && (sum > volume);
+  const whole from_back = (high <= 0.0f) && (volume < 0.0f) && (sum < volume);
+  return from_front || from_back;
+}
+
+/* Takes from `open` the rays that one of the point's occluders blocks, BLOCKS_A_ITEM blocks of VEC rays: a triangle's
+ * own arithmetic is done once for all of them. */
+void close_blocked(global const uint *restrict own, global const float *restrict corners, const uint stride,
+                   const float3 origin, const real direction[BLOCKS_A_ITEM][3], whole open[BLOCKS_A_ITEM]) {
+  const uint count = own[0];
+  whole any_open = (whole)-1;
+  for (uint k = 1; k <= count && ANY(any_open); ++k) {
+    const Occluder occluder = occluder_of(own[k], corners, stride, origin);
+    any_open = (whole)0;
+#pragma unroll
+    for (uint block = 0; block < BLOCKS_A_ITEM; ++block) {
+      open[block] = open[block] && !is_blocked(&occluder, direction[block]);
+      any_open = any_open || open[block];
+    }
+  }
 }

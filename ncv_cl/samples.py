@@ -14,7 +14,7 @@ from .points import ShadingPoints, surface_defines
 from .program import build
 from .sampler import Stream, sampler_defines, seed_words
 from .scene import Scene
-from .shaft import Occluders
+from .shaft import BLOCKS_A_ITEM, Occluders
 from .trace import Tracer
 
 # Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
@@ -219,6 +219,7 @@ class SampleSource(Batches):
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
+            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
@@ -277,7 +278,7 @@ class SampleSource(Batches):
             program = build(self.device, files, self._warped_defines | density.defines)
             warp = [density.records(order, points), self._weight]
         program.kernel("draw_samples")(
-            len(points) * stride // self.device.vector_width,
+            len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
             points.start,
             len(points),
             self.points.total,

@@ -17,6 +17,8 @@ BRANCH = 16
 MOST_OCCLUDERS = (63, 31, 15)
 LIST_BYTES = 1 << 28
 TOO_MANY = 0xFFFFFFFF
+# Blocks of VEC rays of one point that one work-item draws and tests.
+BLOCKS_A_ITEM = 4
 # What rounding moves corners and planes by, of the largest coordinate.
 TOLERANCE = 16 * 2.0**-24
 
@@ -83,6 +85,7 @@ class Occluders:
             "MOST_OCCLUDERS": f"{self._most}u",
             "OCCLUDER_WORDS": f"{self._most + 1}u",
             "TOO_MANY": f"{TOO_MANY}u",
+            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
         }
 
     @property
