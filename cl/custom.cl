@@ -1,5 +1,5 @@
 /* Coordinates of samples for integrands that are evaluated on the host: points of the unit square, uniform or,
- * with WARPED (warp.cl joined before), by each point's record in `density`.
+ * with WARPED (warp.cl or warp_triangles.cl joined before), by each point's record in `density`.
  *
  * Layout as in samples.cl: sample s of batch point p is element p * stride + s of `u`, `v` and `weight`; batch
  * point p is point order[first_point + p].
@@ -24,7 +24,8 @@ kernel void draw_coordinates(const uint first_point, const uint point_count, con
   sample_square(point, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream, seed_low, seed_high, &sample_u,
                 &sample_v);
 #if WARPED
-  STORE(warp_square(density + (ulong)point * DENSITY_FLOATS, &sample_u, &sample_v), weight + at);
+  global const float *record = density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_FLOATS;
+  STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
   STORE(sample_u, u + at);
   STORE(sample_v, v + at);

@@ -12,8 +12,8 @@
  * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
  * or SEEN. The second word of `ray_count` counts them.
  *
- * With WARPED (warp.cl joined before) each point's samples follow its record in `density`, and `weight` takes one
- * over the density at each sample, by which its value counts.
+ * With WARPED (warp.cl or warp_triangles.cl joined before) each point's samples follow its record in `density`,
+ * and `weight` takes one over the density at each sample, by which its value counts.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
  * BLOCKS_A_ITEM blocks of VEC consecutive samples of one point, whose own arithmetic (the point, its
@@ -62,7 +62,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     real sample_value[CHANNELS];
     sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
 #if WARPED
-    STORE(warp_square(density + (ulong)point * DENSITY_FLOATS, &sample_u, &sample_v), weight + at);
+    global const float *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_FLOATS;
+    STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
     evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);
     STORE(sample_u, u + at);

@@ -11,6 +11,8 @@
 
 #define DENSITY_ROW (DENSITY_BINS + 1)
 #define DENSITY_FLOATS (DENSITY_ROW * DENSITY_ROW)
+/* Records are those of all points. */
+#define RECORD_NUMBER(point, in_batch) (point)
 /* The largest number below 1. */
 #define BELOW_ONE 0x1.fffffep-1f
 

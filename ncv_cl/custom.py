@@ -24,7 +24,7 @@ from .presets import PRESETS
 from .program import build
 from .resolve import combine, estimate_of
 from .sampler import sampler_defines, seed_words
-from .samples import DENSITY_BINS, Batch, Batches, ray_defines
+from .samples import Batch, Batches, Warp, ray_defines
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
 from .variate import ControlVariate, integrals_of
@@ -72,7 +72,6 @@ class CallableSource(Batches):
         self._seed = seed_words(seed)
         self._defines = {
             **sampler_defines(sampler),
-            "DENSITY_BINS": DENSITY_BINS,
             **ray_defines(),
         }
         with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
@@ -84,13 +83,16 @@ class CallableSource(Batches):
         samples: range,
         stream: int,
         order: HostArray | None = None,
-        density: HostArray | None = None,
+        density: Warp | None = None,
     ) -> Batch:
         order = self._every_point if order is None else order
         stride = self._stride_of(len(samples))
-        warp = [] if density is None else [density, self._weight]
-        files = ("common", "sampler", *(("warp",) if warp else ()), "custom")
-        program = build(self.device, files, {**self._defines, "WARPED": int(bool(warp))})
+        warp, files, defines = [], (), {}
+        if density is not None:
+            warp = [density.records(order, points), self._weight]
+            files, defines = density.files, density.defines
+        defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
+        program = build(self.device, ("common", "sampler", *files, "custom"), defines)
         program.kernel("draw_coordinates")(
             len(points) * stride // self.device.vector_width,
             points.start,

@@ -137,10 +137,13 @@ class Density:
     magnitude : ndarray
         float64 (points,), the mean over the square of the residual's predicted root mean square, in the
         integrand's units.
+    uniform_share : float
+        Part of every density that is uniform.
     """
 
     table: HostArray
     magnitude: np.ndarray
+    uniform_share: float
 
 
 def tabulate(
@@ -183,7 +186,8 @@ def tabulate(
             table,
         )
     scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
-    return Density(table, magnitude.read().astype(np.float64) * scale)
+    magnitudes = magnitude.read().astype(np.float64) * scale
+    return Density(table, magnitudes, density.settings.uniform_share)
 
 
 class DensityTrainer:

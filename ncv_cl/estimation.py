@@ -15,8 +15,9 @@ from .estimate import Estimate, Estimator
 from .network import FoldedNetwork
 from .passes import Passes, Target
 from .sampler import Stream
-from .samples import Batches
+from .samples import Batches, TableWarp, Warp
 from .settings import RenderSettings, Stopwatch
+from .triangulate import TriangleWarp
 
 
 class Estimation:
@@ -67,13 +68,15 @@ class Estimation:
             self._second = Estimator(device, points, channels, folded, self.twice)
             restricted = allocation.restricted(self.twice, points.active)
             targets.append(Target(self._second, restricted, Stream.CALIBRATION))
-        table = density.table if density is not None and settings.uses_density else None
-        self.passes = Passes(device, source, targets, edges, table, watch, self._keep_parts)
+        warp = None
+        if density is not None and folded is not None:
+            warp = _warp(device, settings.residual_density, folded, density)
+        self.passes = Passes(device, source, targets, edges, warp, watch, self._keep_parts)
         # Means after the last powers of two of passes: parts of what there is.
         self.parts: list[np.ndarray] = []
         self._done = 0
         # By a density samples lie where errors are, and their variance tells these well.
-        self._looks_at_parts = self._second is not None and table is None
+        self._looks_at_parts = self._second is not None and warp is None
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g."""
@@ -164,6 +167,13 @@ class Estimation:
         estimators = [one for one in (self._first, self._second) if one is not None]
         for estimator, state in zip(estimators, states, strict=True):
             estimator.restore(*state)
+
+
+def _warp(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:
+    """What draws samples by a density of this kind."""
+    if kind == "subdivision":
+        return TriangleWarp(device, folded, density)
+    return TableWarp(density.table) if kind == "table" else None
 
 
 def _is_power_of_two(number: int) -> bool:

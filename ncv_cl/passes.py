@@ -12,7 +12,7 @@ from .allocate import Allocation
 from .device import Device, HostArray
 from .estimate import Estimator
 from .sampler import Stream
-from .samples import Batches
+from .samples import Batches, Warp
 from .settings import Stopwatch
 
 
@@ -49,7 +49,7 @@ class Passes:
     targets : sequence of Target
     edges : sequence of int
         Where the passes begin and end, in samples a point on average: 0, ..., all.
-    density : HostArray, optional
+    density : Warp, optional
         As `SampleSource.draw` takes it.
     watch : Stopwatch
         Gets the seconds of stage "estimate".
@@ -63,7 +63,7 @@ class Passes:
         source: Batches,
         targets: list[Target],
         edges: Sequence[int],
-        density: HostArray | None,
+        density: Warp | None,
         watch: Stopwatch,
         after_pass: Callable[[int], None] = lambda done: None,
     ) -> None:
@@ -107,9 +107,10 @@ class Passes:
     def _run_one(self, target: Target, order: HostArray, number: int, bar: tqdm) -> None:
         estimator, allocation, stream = target
         drawn = np.zeros(len(allocation.counts))
+        most_points = self._density.most_points if self._density is not None else None
         for run in allocation.part(self._edges[number], self._edges[number + 1], self._edges[-1]):
             drawn[run.points.start : run.points.stop] = len(run.samples)
-            for points, samples in self._source.parts(*run):
+            for points, samples in self._source.parts(*run, most_points):
                 batch = self._source.draw(points, samples, stream, order, self._density)
                 with self._watch("estimate"):
                     estimator.add(batch, samples.start)

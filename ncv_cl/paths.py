@@ -14,7 +14,7 @@ from .integrands import GlobalIllumination, Integrand
 from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines
 from .program import build
 from .sampler import sampler_defines
-from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource, ray_defines
+from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource, Warp, ray_defines
 from .scene import Scene
 from .shaft import Occluders
 from .trace import Hits, Tracer
@@ -160,7 +160,7 @@ class PathSource(SampleSource):
         samples: range,
         stream: int,
         order: HostArray | None = None,
-        density: HostArray | None = None,
+        density: Warp | None = None,
         paths: int | None = None,
     ) -> Batch:
         """As `SampleSource.draw`; all samples of the batch are visible, their values complete.

@@ -102,9 +102,10 @@ def render(
     preset : {"default", "wide", "slides"}
         The network, its schedule and how it is used: what measured best in time to error, the same with
         twice as many neurons a layer, or the slides' own.
-    density : {"table", "none"}, optional
-        "ncv": sample the residual where a second network predicts that it is large, or uniformly. By
-        default what the preset says.
+    density : {"table", "subdivision", "none"}, optional
+        "ncv": sample the residual where a second network predicts that it is large, constant on 8 × 8
+        cells or linear on the triangles that the control variate's first layer cuts the square into, or
+        uniformly. By default what the preset says.
     allocation : {"magnitude", "pilot", "uniform"}, optional
         How `spp` is spent over the image: "magnitude" gives points samples by their predicted residual
         ("ncv"), "pilot" by their variance in a quarter of the samples, at most 64 ("mc"). By default

@@ -120,7 +120,7 @@ def metadata(
         "method": settings.method,
         "preset": settings.preset,
         "sampler": settings.sampler,
-        "density": "table" if settings.uses_density else "none",
+        "density": settings.residual_density,
         "spp": _mean_samples(drawn),
         "train_spp": _mean_samples(before),
         "supersample": settings.supersample,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -54,6 +55,46 @@ class RayCount:
     on_device: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
+
+
+class Warp:
+    """A density that samples are drawn by.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Kernel files that define `warp_square`, DENSITY_FLOATS and RECORD_NUMBER.
+    defines : dict
+        Their `-D` constants.
+    most_points : int or None
+        Points that a batch may have; None: any number.
+    """
+
+    files: tuple[str, ...]
+    defines: dict[str, int | str]
+    most_points: int | None = None
+
+    def records(self, order: HostArray, points: range) -> HostArray:
+        """What `warp_square` reads to draw samples of points order[i], i in `points`."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TableWarp(Warp):
+    """Density constant on each of DENSITY_BINS x DENSITY_BINS cells.
+
+    Attributes
+    ----------
+    table : HostArray
+        float32 (points.active, DENSITY_FLOATS), as warp.cl reads it.
+    """
+
+    table: HostArray
+    files: ClassVar[tuple[str, ...]] = ("warp",)
+    defines: ClassVar[dict[str, int | str]] = {"DENSITY_BINS": DENSITY_BINS}
+
+    def records(self, order: HostArray, points: range) -> HostArray:
+        return self.table
 
 
 @dataclass(frozen=True)
@@ -121,12 +162,15 @@ class Batches:
         count = self.points.active if count is None else count
         return [range(first, min(first + step, count)) for first in range(0, count, step)]
 
-    def parts(self, points: range, samples: range) -> list[tuple[range, range]]:
+    def parts(
+        self, points: range, samples: range, most_points: int | None = None
+    ) -> list[tuple[range, range]]:
         """`samples` of each of `points`, cut into ranges of both that fit a batch."""
         found = []
         for first in range(samples.start, samples.stop, LONGEST_RUN):
             part = range(first, min(first + LONGEST_RUN, samples.stop))
             step = max(1, self._capacity // self._stride_of(len(part)))
+            step = min(step, most_points or step)
             found += [
                 (range(a, min(a + step, points.stop)), part)
                 for a in range(points.start, points.stop, step)
@@ -187,8 +231,7 @@ class SampleSource(Batches):
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
-        self._warped_files = (*files[:-1], "warp", "samples")
-        self._warped_defines = {**defines, "WARPED": 1, "DENSITY_BINS": DENSITY_BINS}
+        self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
         capacity = self._capacity
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
@@ -217,13 +260,12 @@ class SampleSource(Batches):
         samples: range,
         stream: int,
         order: HostArray | None = None,
-        density: HostArray | None = None,
+        density: Warp | None = None,
     ) -> Batch:
         """Sample points order[i], i in `points`, and trace what matters; see `parts` for how many.
 
-        Without an `order` these are the points themselves. With a `density`, float32 (points.active,
-        DENSITY_FLOATS) as warp.cl reads it, samples are drawn by it, else uniformly. The batch is valid
-        until the next call.
+        Without an `order` these are the points themselves. With a `density` samples are drawn by it,
+        else uniformly. The batch is valid until the next call.
         """
         begun = time.perf_counter()
         order = self._every_point if order is None else order
@@ -232,8 +274,9 @@ class SampleSource(Batches):
         self._ray_count.fill(0)
         program, warp = self._program, []
         if density is not None:
-            program = build(self.device, self._warped_files, self._warped_defines)
-            warp = [density, self._weight]
+            files = (*self._warped_files, *density.files, "samples")
+            program = build(self.device, files, self._warped_defines | density.defines)
+            warp = [density.records(order, points), self._weight]
         program.kernel("draw_samples")(
             len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
             points.start,

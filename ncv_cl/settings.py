@@ -16,7 +16,7 @@ from .presets import PRESETS
 from .sampler import SAMPLERS
 
 METHODS = ("auto", "ncv", "mc")
-DENSITIES = ("table", "none")
+DENSITIES = ("table", "subdivision", "none")
 VISIBILITIES = ("auto", "embree")
 ALLOCATIONS = ("magnitude", "pilot", "uniform")
 
@@ -90,10 +90,11 @@ class RenderSettings:
             raise ValueError(
                 f"allocation must be one of {', '.join(ALLOCATIONS)}, got {self.allocation!r}"
             )
-        if self.method == "mc" and (self.density == "table" or self.allocation == "magnitude"):
+        learned = self.density not in (None, "none")
+        if self.method == "mc" and (learned or self.allocation == "magnitude"):
             raise ValueError(
-                "plain Monte Carlo learns no residual: density 'table' and allocation 'magnitude' need "
-                "method 'ncv' (allocation 'pilot' suits 'mc')"
+                "plain Monte Carlo learns no residual: densities 'table' and 'subdivision', and "
+                "allocation 'magnitude', need method 'ncv' (allocation 'pilot' suits 'mc')"
             )
         if self.method != "mc" and self.allocation == "pilot":
             raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
@@ -102,10 +103,16 @@ class RenderSettings:
                 raise ValueError(f"{name} must be a positive number, got {value!r}")
 
     @property
+    def residual_density(self) -> str:
+        """One of `DENSITIES`: what the residual is sampled by."""
+        if self.method == "mc":
+            return "none"
+        return self.density or ("table" if PRESETS[self.preset].density else "none")
+
+    @property
     def uses_density(self) -> bool:
         """Whether the residual is sampled by its learned density."""
-        chosen = self.density or ("table" if PRESETS[self.preset].density else "none")
-        return self.method != "mc" and chosen == "table"
+        return self.residual_density != "none"
 
     @property
     def allocates(self) -> bool:

@@ -1,6 +1,6 @@
 """Render a few pixels on the only device there is: what test_oclgrind.py runs under the simulator.
 
-Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES
+Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY]
 """
 
 import sys
@@ -40,13 +40,31 @@ def shrink_training() -> None:
     PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, settings=settings)
 
 
-def main(scene: str, integrand: str, method: str, sampler: str, vec: str, lanes: str) -> None:
+def main(
+    scene: str,
+    integrand: str,
+    method: str,
+    sampler: str,
+    vec: str,
+    lanes: str,
+    density: str | None = None,
+) -> None:
     avoid_false_reports()
     shrink_training()
     (simulator,) = list_cl_devices()
     # An explicit device: choosing one would run the micro-benchmark in the simulator.
     device = open_device(simulator, vector_width=int(vec), lanes=int(lanes))
-    image = render(scene, integrand, method, sampler, spp=4, train_spp=2, size=(4, 4), device=device)
+    image = render(
+        scene,
+        integrand,
+        method,
+        sampler,
+        spp=4,
+        train_spp=2,
+        size=(4, 4),
+        density=density,
+        device=device,
+    )
     print(f"{device.name}: {image.stats['points']} points, mean {float(image.pixels.mean())!r}")
 
 

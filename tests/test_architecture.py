@@ -32,7 +32,7 @@ ORDER = (
     "choose",
     "train integrator estimate",
     "allocate alpha calibrate density integrate presets resolve",
-    "budget held_out settings subdivide",
+    "budget held_out settings subdivide triangulate",
     "auto checkpoint learn passes report",
     "estimation variate",
     "custom first_pass",
@@ -44,7 +44,7 @@ RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()
 # A stage knows its inputs and outputs, not its neighbours: who may import it.
 USERS = {
     "train": {"alpha", "density", "learn", "presets"},
-    "density": {"checkpoint", "custom", "estimation", "learn", "render", "variate"},
+    "density": {"checkpoint", "custom", "estimation", "learn", "render", "triangulate", "variate"},
     "learn": {"custom", "first_pass", "render"},
     "alpha": {"learn", "render"},
     "auto": {"first_pass", "render"},

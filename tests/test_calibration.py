@@ -19,6 +19,7 @@ SEEDS = range(10, 16)
 CASES = {
     "cornell-direct-ncv": ("cornell_box", "direct", {"method": "ncv"}),
     "occluders-direct-ncv": ("occluders", "direct", {"method": "ncv"}),
+    "occluders-direct-subdivision": ("occluders", "direct", {"method": "ncv", "density": "subdivision"}),
     "occluders-ao-ncv": ("occluders", "ao", {"method": "ncv"}),
     "occluders-ao-slides": ("occluders", "ao", {"method": "ncv", "preset": "slides", "train_spp": 8}),
     "occluders-ao-mc": ("occluders", "ao", {"method": "mc"}),

@@ -23,6 +23,7 @@ CASES = [
     {"method": "mc", "sampler": "independent"},
     {"method": "mc", "allocation": "pilot"},
     {"method": "ncv"},
+    {"method": "ncv", "density": "subdivision"},
     {"method": "ncv", "preset": "slides"},
     {"method": "auto"},
 ]

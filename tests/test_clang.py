@@ -103,12 +103,13 @@ def render_everything(device: Device, folder: Path) -> None:
             preset=preset,
             device=device,
         )
+    render(scene, "ao", "ncv", spp=2, train_spp=1, size=(4, 4), density="subdivision", device=device)
 
 
 def estimate_everything(device: Device) -> None:
-    """Integrals of a callable, sampled uniformly and by a density."""
-    for method in ("mc", "ncv"):
-        estimate(lambda u, v, point: u, method=method, spp=2, train_spp=1, device=device)
+    """Integrals of a callable, sampled uniformly and by each density."""
+    for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
+        estimate(lambda u, v, point: u, spp=2, train_spp=1, device=device, **options)
 
 
 def integrate_everything(device: Device) -> None:

@@ -19,6 +19,7 @@ WAYS = [
     {"method": "ncv", "train_spp": 32},
     {"method": "ncv", "train_spp": 32, "sampler": "independent"},
     {"method": "ncv", "train_spp": 32, "density": "none", "allocation": "uniform"},
+    {"method": "ncv", "train_spp": 32, "density": "subdivision"},
     {"method": "ncv", "train_spp": 32, "preset": "slides"},
 ]
 

@@ -16,7 +16,7 @@ from ncv_cl.integrands import DirectLight
 from ncv_cl.network import NetworkDescription
 from ncv_cl.points import find_points
 from ncv_cl.sampler import Stream
-from ncv_cl.samples import DENSITY_BINS, DENSITY_FLOATS, SampleSource
+from ncv_cl.samples import DENSITY_BINS, DENSITY_FLOATS, SampleSource, TableWarp
 from ncv_cl.trace import Tracer
 from ncv_cl.train import TrainingSamples
 
@@ -57,7 +57,7 @@ def warped(device, scene, sampler, probability, samples):
     source = SampleSource(device, scene, tracer, points, DirectLight(), sampler, 5, samples)
     padded = np.broadcast_to(probability[:1], (points.active, BINS, BINS)).copy()
     padded[: len(probability)] = probability
-    density = HostArray.of(device, records(padded))
+    density = TableWarp(HostArray.of(device, records(padded)))
     batch = source.draw(range(len(probability)), range(samples), Stream.RESIDUAL, None, density)
     shape = (len(probability), batch.stride)
     return [

@@ -70,6 +70,14 @@ def test_simulator_finds_no_fault_in_a_render(integrand, method, sampler, vec, l
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_in_a_density_by_the_subdivision(vec, lanes, scenes, tmp_path):
+    scene = scenes / "cornell_box.toml"
+    arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "subdivision")
+    faults = simulate(tmp_path / "log", PROGRAM, scene, *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("hidden", ["5x4", "3x3x3"])
 @pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, tmp_path):

@@ -85,7 +85,7 @@ def test_rendering_ends_in_time(one_device, scenes):
         ({"method": "mc", "density": "table"}, "plain Monte Carlo learns no residual"),
         ({"method": "mc", "allocation": "magnitude"}, "plain Monte Carlo learns no residual"),
         ({"method": "ncv", "allocation": "pilot"}, "'pilot' is for method 'mc'"),
-        ({"density": "tree"}, "density must be one of table, none"),
+        ({"density": "tree"}, "density must be one of table, subdivision, none"),
         ({"allocation": "all"}, "allocation must be one of"),
         ({"target_mse": 0}, "target_mse must be a positive number"),
         ({"time_limit": -1.0}, "time_limit must be a positive number"),

@@ -36,6 +36,7 @@ METHODS = {
     "mc-pilot": {"method": "mc", "allocation": "pilot"},
     "ncv-slides": {"method": "ncv", "preset": "slides"},
     "ncv-density": {"method": "ncv", "allocation": "uniform"},
+    "ncv-subdivision": {"method": "ncv", "density": "subdivision"},
     "ncv-allocation": {"method": "ncv", "density": "none"},
 }
 SIZE = (24, 24)

@@ -25,7 +25,7 @@ from ncv_cl.passes import Passes, Target
 from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
 from ncv_cl.presets import PRESETS
 from ncv_cl.sampler import Stream
-from ncv_cl.samples import Batch
+from ncv_cl.samples import Batch, TableWarp
 from ncv_cl.settings import Stopwatch
 from ncv_cl.train import Trainer
 from ncv_cl.variate import integrals_of
@@ -97,7 +97,7 @@ class OursEstimator(Estimator):
         table, allocation = None, Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
         if self._density is not None:
             density: Density = tabulate(device, self._density, self._network, points)
-            table = density.table
+            table = TableWarp(density.table)
             if count > 1:
                 counts = allocate(density.magnitude[:count], samples)
                 allocation = Allocation.of_counts(np.tile(counts, repeats))
