@@ -162,7 +162,7 @@ def test_the_programs_cover_every_kernel_file_and_shape(programs):
     assert {name for files, _ in programs for name in files} == {
         kernel.stem for kernel in program.kernel_folder().glob("*.cl")
     }
-    assert {(defines["VEC"], defines["LANES"]) for _, defines in programs} == set(SHAPES)
+    assert set(SHAPES) <= {(defines["VEC"], defines["LANES"]) for _, defines in programs}
 
 
 @pytest.mark.parametrize("use_fma", [0, 1])
