@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -52,20 +53,35 @@ VARIANTS = {
 
 
 class Recorder:
-    """Stands where a `Tracer` stands, and keeps the rays it was asked for."""
+    """Stands where a `Tracer` stands, and keeps what it was asked for."""
 
     def __init__(self, tracer: Tracer) -> None:
         self._tracer = tracer
-        self.closest_rays: list[tuple[np.ndarray, np.ndarray]] = []
-        self.shadow_rays: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.asked: list[tuple[str, list[np.ndarray]]] = []
 
-    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
-        self.closest_rays.append((origins.copy(), directions.copy()))
-        return self._tracer.closest(origins, directions, out)
+    def _ask(self, name: str, *arrays: np.ndarray | Hits | None) -> Hits | None:
+        self.asked.append((name, [_kept(one) for one in arrays]))
+        return getattr(self._tracer, name)(*arrays)
+
+    def closest(self, *arrays: np.ndarray | Hits) -> Hits:
+        return self._ask("closest", *arrays)
 
     def visible(self, *arrays: np.ndarray) -> None:
-        self.shadow_rays.append(tuple(one.copy() for one in arrays[:3]))
-        self._tracer.visible(*arrays)
+        self._ask("visible", *arrays)
+
+    def closest_and_visible(self, *arrays: np.ndarray | Hits) -> None:
+        self._ask("closest_and_visible", *arrays)
+
+    def again(self) -> None:
+        """Trace all of it once more, and nothing else."""
+        for name, arrays in self.asked:
+            getattr(self._tracer, name)(*arrays)
+
+
+def _kept(one: np.ndarray | Hits) -> np.ndarray | Hits:
+    if isinstance(one, Hits):
+        return Hits(*(_kept(getattr(one, part.name)) for part in fields(Hits)))
+    return np.ascontiguousarray(one).copy()
 
 
 class Case:
@@ -124,9 +140,6 @@ def throughput(case: Case, samples: int, repeats: int = 3) -> dict[str, float]:
         recorded.draw(points, range(samples), Stream.RESIDUAL)
     source = case.source(tracer, "sobol", samples)
     whole, alone = [], []
-    longest = max(len(rays[0]) for rays in recorder.closest_rays + recorder.shadow_rays)
-    hits = Hits(np.zeros(longest, np.int32), *(np.zeros(longest, np.float32) for _ in range(3)))
-    lit = np.zeros(longest, np.uint8)
     for _ in range(repeats):
         before, began = source.rays.traced, time.perf_counter()
         for points in source.batches():
@@ -134,11 +147,7 @@ def throughput(case: Case, samples: int, repeats: int = 3) -> dict[str, float]:
         whole.append(time.perf_counter() - began)
         rays = source.rays.traced - before
         began = time.perf_counter()
-        for origins, directions in recorder.closest_rays:
-            part = Hits(*(getattr(hits, n)[: len(origins)] for n in ("triangle", "u", "v", "distance")))
-            tracer.closest(origins, directions, part)
-        for origins, directions, distances in recorder.shadow_rays:
-            tracer.visible(origins, directions, distances, lit[: len(origins)])
+        recorder.again()
         alone.append(time.perf_counter() - began)
     found = {
         "rays": rays,

@@ -82,6 +82,7 @@ real gather(global const float *restrict array, const whole at) {
   int index[VEC];
   float element[VEC];
   STORE(at, index);
+#pragma unroll
   for (uint lane = 0; lane < VEC; ++lane) element[lane] = array[index[lane]];
   return LOAD(element);
 }
@@ -89,6 +90,7 @@ bits gather_bits(global const uint *restrict array, const bits at) {
   uint index[VEC];
   uint element[VEC];
   STORE(at, index);
+#pragma unroll
   for (uint lane = 0; lane < VEC; ++lane) element[lane] = array[index[lane]];
   return LOAD(element);
 }
