@@ -3,8 +3,10 @@
 1. Throughput: rays a second of plain path tracing, all in, beside what embreex alone reaches on the same
    rays: they are recorded, and traced again by the same threads in the same chunks.
 2. The slides' finding, as a table: the slides' network learns the field of radiance and yet brings
-   nothing, since the residual keeps the noise of the nested estimate. That noise is measured by
-   estimating each sample twice, with the same (u, v) and other paths.
+   little, since the residual keeps the noise of the nested estimate. That noise is measured by
+   estimating each sample twice, with the same (u, v) and other paths. It takes the slides' number of
+   training samples a point, 1024, so the images are small; the share of f that is noise says what a
+   network without error would bring.
 3. What lowers it, one thing at a time, at equal samples: mean square error, rays, and their product.
 4. Seconds that "ncv" and "auto" take to the error of plain Monte Carlo with Sobol points.
 
@@ -39,6 +41,9 @@ from ncv_cl.trace import Hits, Tracer
 
 SCENES = Path(__file__).parent.parent / "scenes"
 NAMES = ("cornell_box", "interior")
+# Presets and training samples a point of the slides' finding, and pixels a side.
+FINDINGS = (("slides", 64), ("slides", 1024), ("default", 64), ("default", 512))
+FINDING_SIZE = 64
 VARIANTS = {
     "Sobol": {"method": "mc"},
     "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
@@ -88,7 +93,7 @@ class Case:
     """A scene at one size."""
 
     def __init__(self, device: Device, name: str, size: int) -> None:
-        self.device, self.size = device, (size, size)
+        self.device, self.name, self.size = device, name, (size, size)
         self.scene = ncv.load_scene(SCENES / f"{name}.toml")
 
     def render(
@@ -203,6 +208,26 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
     }
 
 
+def finding_table(case: Case) -> list[dict[str, float | str]]:
+    """Print `finding` of each of FINDINGS, and return the rows."""
+    small = Case(case.device, case.name, min(FINDING_SIZE, case.size[0]))
+    rows = []
+    for preset, train_spp in FINDINGS:
+        found = finding(small, train_spp, preset, 16)
+        gain = found["variance of f"] / found["variance of f - g"]
+        row = {"preset": preset, "training samples": train_spp, **found}
+        row |= {"gain": gain, "most gain": 1 / found["share of f"]}
+        if not rows:
+            print("  " + "  ".join(row))
+        cells = (f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+        print(
+            "  " + "  ".join(f"{one:>{len(name)}}" for name, one in zip(row, cells, strict=True)),
+            flush=True,
+        )
+        rows.append(row)
+    return rows
+
+
 def seconds_to(points: list[dict[str, float]], mse: float) -> float:
     """Seconds to an error: both go as powers of the samples between and beyond two measured points."""
     (first, second), log = points, np.log
@@ -241,12 +266,7 @@ def measure(case: Case, spps: tuple[int, int], quick: bool, repeats: int) -> dic
         f"  paths {speed['million_rays_a_second']:.2f} M rays a second, embreex alone "
         f"{speed['embreex_million_rays_a_second']:.2f}: {speed['ratio']:.3f}", flush=True,
     )  # fmt: skip
-    findings = {}
-    for preset in ("slides", "default"):
-        findings[preset] = finding(case, 4 if quick else 64, preset, 16)
-        print(
-            f"  {preset}: " + ", ".join(f"{k} {v:.4g}" for k, v in findings[preset].items()), flush=True
-        )
+    findings = finding_table(case)
     runs = {}
     for name, options in VARIANTS.items():
         # Kernels are compiled outside the clock.
