@@ -368,8 +368,10 @@ class _Rendering:
             if guided:
                 with self.watch("guide"):
                     self.guide = self.source.learn_guide()
-            # The first pass of "auto" has more samples than training.
-            self.before = self.before or learned.estimate
+            # The first pass of "auto", if there was one, and training have samples of their own.
+            self.before = (
+                learned.estimate if self.before is None else self.before.merged(learned.estimate)
+            )
         else:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
@@ -477,8 +479,11 @@ class _Rendering:
         estimation.passes.run("first pass", self.progress, last=1)
         seconds = time.perf_counter() - started
         first = estimation.first_estimate()
-        training = 0.0
+        training, nested_rays = 0.0, None
         if settings.guides:
+            rays = self.source.rays
+            drawn = float(first.samples.mean()) * (self.points.active + len(estimation.twice))
+            nested_rays = (rays.traced + rays.on_device) / drawn
             chosen, samples = settings.training_points(
                 self.points.active, TRAINING_PASS, AUTO_TRAINING_SAMPLES
             )
@@ -489,7 +494,7 @@ class _Rendering:
             estimation.differences(),
             seconds,
             settings.spp,
-            settings.guides,
+            nested_rays,
             training,
         )
         if self.prediction.method == "ncv":
