@@ -34,8 +34,8 @@ NESTED_EXPONENT = 1.0
 NESTED_RAY_COST = 1.4
 NESTED_FIXED_INFERENCE_SAMPLES = 5e6
 NESTED_TRAINING_INFERENCE_SAMPLES = 40.0
-# The gain must be this clear, as predictions err; by less for nested samples, whose gain goes by counts of
-# rays, and only the costs by the clock.
+# The gain must be this clear, as predictions err; by less for nested samples, whose gain goes by counts
+# of rays, and only the costs by the clock.
 MARGIN = 0.85
 NESTED_MARGIN = 0.92
 

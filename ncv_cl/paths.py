@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from .program import build
 from .sampler import sampler_defines
 from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource, ray_defines
 from .scene import Scene
-from .shaft import Occluders
 from .trace import Hits, Tracer
 
 # A depth that no path reaches.
@@ -38,14 +38,11 @@ def sample_source(
     tracer: Tracer,
     points: ShadingPoints,
     integrand: Integrand,
-    sampler: str,
-    seed: int,
-    samples_per_point: int,
-    occluders: Occluders | None = None,
+    *rest: Any,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it takes them."""
     kind = PathSource if integrand.nested else SampleSource
-    return kind(device, scene, tracer, points, integrand, sampler, seed, samples_per_point, occluders)
+    return kind(device, scene, tracer, points, integrand, *rest)
 
 
 class _Wave:
@@ -112,13 +109,9 @@ class PathSource(SampleSource):
         points: ShadingPoints,
         integrand: GlobalIllumination,
         sampler: str,
-        seed: int,
-        samples_per_point: int,
-        occluders: Occluders | None = None,
+        *rest: Any,
     ) -> None:
-        super().__init__(
-            device, scene, tracer, points, integrand, sampler, seed, samples_per_point, occluders
-        )
+        super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
         self._max_depth = integrand.max_depth or UNLIMITED
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
