@@ -73,7 +73,7 @@ float sum_lanes(const real x) {
 #endif
 }
 
-/* The elements of an array at VEC places. */
+/* The elements of an array at VEC places. Unrolled, they never go by way of memory. */
 #if VEC == 1
 real gather(global const float *restrict array, const whole at) { return array[at]; }
 bits gather_bits(global const uint *restrict array, const bits at) { return array[at]; }
