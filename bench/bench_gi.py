@@ -3,8 +3,10 @@
 1. Throughput: rays a second of plain path tracing, all in, beside what embreex alone reaches on the same
    rays: they are recorded, and traced again by the same threads in the same chunks.
 2. The slides' finding, as a table: the slides' network learns the field of radiance and yet brings
-   nothing, since the residual keeps the noise of the nested estimate. That noise is measured by
-   estimating each sample twice, with the same (u, v) and other paths.
+   little, since the residual keeps the noise of the nested estimate. That noise is measured by
+   estimating each sample twice, with the same (u, v) and other paths. It takes the slides' number of
+   training samples a point, 1024, so the images are small; the share of f that is noise says what a
+   network without error would bring.
 3. What lowers it, one thing at a time, at equal samples: mean square error, rays, and their product.
 4. Seconds that "ncv" and "auto" take to the error of plain Monte Carlo with Sobol points.
 
@@ -17,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +41,9 @@ from ncv_cl.trace import Hits, Tracer
 
 SCENES = Path(__file__).parent.parent / "scenes"
 NAMES = ("cornell_box", "interior")
+# Presets and training samples a point of the slides' finding, and pixels a side.
+FINDINGS = (("slides", 64), ("slides", 1024), ("default", 64), ("default", 512))
+FINDING_SIZE = 64
 VARIANTS = {
     "Sobol": {"method": "mc"},
     "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
@@ -52,27 +58,42 @@ VARIANTS = {
 
 
 class Recorder:
-    """Stands where a `Tracer` stands, and keeps the rays it was asked for."""
+    """Stands where a `Tracer` stands, and keeps what it was asked for."""
 
     def __init__(self, tracer: Tracer) -> None:
         self._tracer = tracer
-        self.closest_rays: list[tuple[np.ndarray, np.ndarray]] = []
-        self.shadow_rays: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.asked: list[tuple[str, list[np.ndarray]]] = []
 
-    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
-        self.closest_rays.append((origins.copy(), directions.copy()))
-        return self._tracer.closest(origins, directions, out)
+    def _ask(self, name: str, *arrays: np.ndarray | Hits | None) -> Hits | None:
+        self.asked.append((name, [_kept(one) for one in arrays]))
+        return getattr(self._tracer, name)(*arrays)
+
+    def closest(self, *arrays: np.ndarray | Hits) -> Hits:
+        return self._ask("closest", *arrays)
 
     def visible(self, *arrays: np.ndarray) -> None:
-        self.shadow_rays.append(tuple(one.copy() for one in arrays[:3]))
-        self._tracer.visible(*arrays)
+        self._ask("visible", *arrays)
+
+    def closest_and_visible(self, *arrays: np.ndarray | Hits) -> None:
+        self._ask("closest_and_visible", *arrays)
+
+    def again(self) -> None:
+        """Trace all of it once more, and nothing else."""
+        for name, arrays in self.asked:
+            getattr(self._tracer, name)(*arrays)
+
+
+def _kept(one: np.ndarray | Hits) -> np.ndarray | Hits:
+    if isinstance(one, Hits):
+        return Hits(*(_kept(getattr(one, part.name)) for part in fields(Hits)))
+    return np.ascontiguousarray(one).copy()
 
 
 class Case:
     """A scene at one size."""
 
     def __init__(self, device: Device, name: str, size: int) -> None:
-        self.device, self.size = device, (size, size)
+        self.device, self.name, self.size = device, name, (size, size)
         self.scene = ncv.load_scene(SCENES / f"{name}.toml")
 
     def render(
@@ -124,9 +145,6 @@ def throughput(case: Case, samples: int, repeats: int = 3) -> dict[str, float]:
         recorded.draw(points, range(samples), Stream.RESIDUAL)
     source = case.source(tracer, "sobol", samples)
     whole, alone = [], []
-    longest = max(len(rays[0]) for rays in recorder.closest_rays + recorder.shadow_rays)
-    hits = Hits(np.zeros(longest, np.int32), *(np.zeros(longest, np.float32) for _ in range(3)))
-    lit = np.zeros(longest, np.uint8)
     for _ in range(repeats):
         before, began = source.rays.traced, time.perf_counter()
         for points in source.batches():
@@ -134,11 +152,7 @@ def throughput(case: Case, samples: int, repeats: int = 3) -> dict[str, float]:
         whole.append(time.perf_counter() - began)
         rays = source.rays.traced - before
         began = time.perf_counter()
-        for origins, directions in recorder.closest_rays:
-            part = Hits(*(getattr(hits, n)[: len(origins)] for n in ("triangle", "u", "v", "distance")))
-            tracer.closest(origins, directions, part)
-        for origins, directions, distances in recorder.shadow_rays:
-            tracer.visible(origins, directions, distances, lit[: len(origins)])
+        recorder.again()
         alone.append(time.perf_counter() - began)
     found = {
         "rays": rays,
@@ -194,6 +208,26 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
     }
 
 
+def finding_table(case: Case) -> list[dict[str, float | str]]:
+    """Print `finding` of each of FINDINGS, and return the rows."""
+    small = Case(case.device, case.name, min(FINDING_SIZE, case.size[0]))
+    rows = []
+    for preset, train_spp in FINDINGS:
+        found = finding(small, train_spp, preset, 16)
+        gain = found["variance of f"] / found["variance of f - g"]
+        row = {"preset": preset, "training samples": train_spp, **found}
+        row |= {"gain": gain, "most gain": 1 / found["share of f"]}
+        if not rows:
+            print("  " + "  ".join(row))
+        cells = (f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values())
+        print(
+            "  " + "  ".join(f"{one:>{len(name)}}" for name, one in zip(row, cells, strict=True)),
+            flush=True,
+        )
+        rows.append(row)
+    return rows
+
+
 def seconds_to(points: list[dict[str, float]], mse: float) -> float:
     """Seconds to an error: both go as powers of the samples between and beyond two measured points."""
     (first, second), log = points, np.log
@@ -232,12 +266,7 @@ def measure(case: Case, spps: tuple[int, int], quick: bool, repeats: int) -> dic
         f"  paths {speed['million_rays_a_second']:.2f} M rays a second, embreex alone "
         f"{speed['embreex_million_rays_a_second']:.2f}: {speed['ratio']:.3f}", flush=True,
     )  # fmt: skip
-    findings = {}
-    for preset in ("slides", "default"):
-        findings[preset] = finding(case, 4 if quick else 64, preset, 16)
-        print(
-            f"  {preset}: " + ", ".join(f"{k} {v:.4g}" for k, v in findings[preset].items()), flush=True
-        )
+    findings = finding_table(case)
     runs = {}
     for name, options in VARIANTS.items():
         # Kernels are compiled outside the clock.

@@ -41,11 +41,13 @@ CASES = (
     ("cornell_box", "direct"),
     ("occluders", "direct"),
     ("knot", "direct"),
+    ("interior", "direct"),
     ("cornell_box", "ao"),
     ("occluders", "ao"),
     ("cornell_box", "gi"),
     ("occluders", "gi"),
     ("knot", "gi"),
+    ("interior", "gi"),
 )
 # Most edges of a path from the camera to a light; both renderers count so, and 2 is direct light.
 GI_DEPTH = 6
@@ -143,7 +145,7 @@ def agreement(
         return _skip(row, str(error))
     small, nested = quick or not theirs.llvm, integrand == "gi"
     size = size or ((32, 32) if small else (64, 64) if nested else (96, 96))
-    spp = spp or (32 if small or nested else 64)
+    spp = spp or (32 if small else 64)
     batches = batches or (6 if quick else 8)
     method = {"direct": DIRECT, "ao": SKY, "gi": PATH}[integrand]
     other = np.stack([theirs.radiance(method, size, supersample, spp, seed) for seed in range(batches)])

@@ -29,7 +29,25 @@ triple from_frame(const triple n, const real x, const real y, const real z) {
                   x * tangent.z + y * bitangent.z + z * n.z};
 }
 
-/* Radius and azimuth on the unit disc, of equal areas. */
+/* Sine and cosine of an angle in turns, at most a few: a quarter turn takes off exactly, so that no reduction by pi is
+ * needed, and polynomials (those of the Cephes library, in single precision) do for the rest. */
+real sincos_of_turns(const real turns, real *cosine) {
+  const real quarters = rint(4.0f * turns);
+  const real x = (turns - 0.25f * quarters) * (2.0f * M_PI_F);
+  const real x2 = x * x;
+  const real sine = FMA(x * x2, FMA(x2, FMA(x2, (real)-1.9515295891e-4f, (real)8.3321608736e-3f),
+                                    (real)-1.6666654611e-1f), x);
+  const real c = FMA(x2 * x2, FMA(x2, FMA(x2, (real)2.443315711809948e-5f, (real)-1.388731625493765e-3f),
+                                  (real)4.166664568298827e-2f), FMA(x2, (real)-0.5f, (real)1.0f));
+  const whole quadrant = TO_WHOLE(quarters) & 3;
+  const whole odd = (quadrant & 1) == 1;
+  const real s = SELECT(sine, c, odd);
+  const real other = SELECT(c, sine, odd);
+  *cosine = SELECT(other, -other, (quadrant == 1) || (quadrant == 2));
+  return SELECT(s, -s, quadrant >= 2);
+}
+
+/* Radius and azimuth, in turns, on the unit disc, of equal areas. */
 void concentric(const real u, const real v, real *radius, real *azimuth) {
   const real a = 2.0f * u - 1.0f;
   const real b = 2.0f * v - 1.0f;
@@ -37,7 +55,7 @@ void concentric(const real u, const real v, real *radius, real *azimuth) {
   const real major = SELECT(b, a, wide);
   const real ratio = SELECT(a, b, wide) / SELECT(major, (real)1.0f, major == 0.0f);
   *radius = major;
-  *azimuth = SELECT(0.5f * M_PI_F - 0.25f * M_PI_F * ratio, 0.25f * M_PI_F * ratio, wide);
+  *azimuth = SELECT(0.25f - 0.125f * ratio, 0.125f * ratio, wide);
 }
 
 #if HAS_SPECULAR
@@ -99,10 +117,10 @@ triple sample_scattering(const Scatterer *s, const real u, const real v) {
   const real alpha = s->roughness * s->roughness;
   const real stretched = o.z * rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
   const real height = (1.0f - v) * (1.0f + stretched) - stretched;
-  azimuth = SELECT(azimuth, 2.0f * M_PI_F * along, in_lobe);
+  azimuth = SELECT(azimuth, along, in_lobe);
 #endif
   real cosine;
-  const real sine = sincos(azimuth, &cosine);
+  const real sine = sincos_of_turns(azimuth, &cosine);
   const real z = sqrt(max((real)0.0f, FMA(-radius, radius, (real)1.0f)));
   const triple matte = {radius * cosine, radius * sine, z};
 #if HAS_SPECULAR

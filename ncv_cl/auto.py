@@ -26,12 +26,18 @@ DENSITY_GAIN = 1.6
 # Errors of Sobol points fall as samples to this power, so samples as variance to its inverse.
 VARIANCE_EXPONENT = 1.5
 # Where samples are nested estimates, noise that no spreading lowers is most of the error: variance falls
-# as samples do. Guided paths lower it, with more rays; both were set on the Cornell box.
-NESTED_GAIN = 2.0
+# as samples do, and concentration says nothing. Guided paths lower it the more the longer paths are: by
+# half of the rays a sample traces. Their rays cost more, and training costs a little, and more for each
+# sample. Set by variances and processor seconds on the shipped scenes, 48 x 48 to 96 x 96 points.
+NESTED_GAIN = 0.5
 NESTED_EXPONENT = 1.0
-NESTED_RAY_COST = 1.25
-# The gain must be this clear, as predictions err.
+NESTED_RAY_COST = 1.4
+NESTED_FIXED_INFERENCE_SAMPLES = 5e6
+NESTED_TRAINING_INFERENCE_SAMPLES = 40.0
+# The gain must be this clear, as predictions err; by less for nested samples, whose gain goes by counts
+# of rays, and only the costs by the clock.
 MARGIN = 0.85
+NESTED_MARGIN = 0.92
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ def predict(
     difference: np.ndarray | None,
     seconds: float,
     spp: int,
-    nested: bool = False,
+    nested_rays: float | None = None,
     training_samples: float = 0.0,
 ) -> Prediction:
     """Choose a method from the estimate and the seconds of a first pass.
@@ -80,8 +86,8 @@ def predict(
         What that pass took.
     spp : int
         Samples a point that are wanted in all.
-    nested : bool
-        Whether samples are estimates themselves, whose noise is learned to be lowered.
+    nested_rays : float, optional
+        Rays a sample, where samples are estimates themselves, whose noise is learned to be lowered.
     training_samples : float
         Samples a point that training takes, where they are dear enough to count.
 
@@ -101,12 +107,18 @@ def predict(
     concentration = 1.0
     if deviation.any():
         concentration = min(1.0, normal * float(deviation.mean() ** 2 / np.mean(deviation**2)))
-    gain = (NESTED_GAIN if nested else DENSITY_GAIN) / max(concentration, 1e-3)
     inference = 1e-9 * cached_probe(device).nanoseconds
-    fixed = inference * (FIXED_INFERENCE_SAMPLES + INFERENCE_SAMPLES_A_POINT * len(variance))
+    if nested_rays is None:
+        gain, cost, exponent = DENSITY_GAIN / max(concentration, 1e-3), RAY_COST, VARIANCE_EXPONENT
+        once, margin = FIXED_INFERENCE_SAMPLES, MARGIN
+    else:
+        gain, cost, exponent = max(1.0, NESTED_GAIN * nested_rays), NESTED_RAY_COST, NESTED_EXPONENT
+        once = NESTED_TRAINING_INFERENCE_SAMPLES * training_samples * len(variance)
+        once += NESTED_FIXED_INFERENCE_SAMPLES
+        margin = NESTED_MARGIN
+    fixed = inference * (once + INFERENCE_SAMPLES_A_POINT * len(variance))
     fixed += training_samples * seconds / drawn
-    cost, exponent = (NESTED_RAY_COST, NESTED_EXPONENT) if nested else (RAY_COST, VARIANCE_EXPONENT)
     network = inference * SAMPLE_INFERENCE * len(variance) * max(spp - drawn, 0)
     ncv_seconds = fixed + (mc_seconds * cost + network) * gain ** (-1 / exponent)
-    method = "ncv" if variance.any() and ncv_seconds < MARGIN * mc_seconds else "mc"
+    method = "ncv" if variance.any() and ncv_seconds < margin * mc_seconds else "mc"
     return Prediction(method, mc_seconds, ncv_seconds, gain)

@@ -175,16 +175,20 @@ class HostArray:
         return shared
 
     @contextmanager
-    def mapped(self, write: bool = False, count: int | None = None) -> Iterator[np.ndarray]:
+    def mapped(
+        self, write: bool = False, count: int | None = None, update: bool = False
+    ) -> Iterator[np.ndarray]:
         """View the array (or its first `count` rows) on the host while the block lasts.
 
-        With ``write=True`` the previous content is not kept.
+        With ``write=True`` the previous content is not kept; with ``update=True`` it may be changed.
         """
         shape = self.shape if count is None else (count, *self.shape[1:])
         if 0 in shape:
             yield np.empty(shape, self.dtype)
             return
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
+        if update:
+            flags = cl.map_flags.READ | cl.map_flags.WRITE
         view, _ = cl.enqueue_map_buffer(
             self.device.queue, self.buffer, flags, 0, shape, self.dtype, is_blocking=True
         )

@@ -45,6 +45,17 @@ class Estimate:
             return self.calibrated
         return self.variance / np.maximum(self.samples, 1)
 
+    def merged(self, other: Estimate) -> Estimate:
+        """Of all samples of both, where these are independent of each other."""
+        samples = self.samples + other.samples
+        share = other.samples / np.maximum(samples, 1)
+        # Each variance is unbiased, and so is any mean of them whose weights the samples do not decide.
+        return Estimate(
+            (1 - share) * self.mean + share * other.mean,
+            (1 - share) * self.variance + share * other.variance,
+            samples,
+        )
+
 
 class Estimator:
     """Accumulates f, and f − g where a network is given, batch after batch.

@@ -30,16 +30,19 @@ def predict_from_first_pass(
     estimation.passes.run("first pass", progress, last=1)
     seconds = time.perf_counter() - started
     active = source.points.active
-    training = 0.0
+    first = estimation.first_estimate()
+    training, nested_rays = 0.0, None
     if settings.guides:
+        drawn = float(first.samples.mean()) * (active + len(estimation.twice))
+        nested_rays = (source.rays.traced + source.rays.on_device) / drawn
         training = sum(part.count for part in training_budget(settings, active).rounds) / active
     return predict(
         device,
-        estimation.first_estimate(),
+        first,
         estimation.differences(),
         seconds,
         settings.spp,
-        settings.guides,
+        nested_rays,
         training,
     )
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +15,14 @@ from .program import build
 from .sampler import sampler_defines
 from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource, Warp, ray_defines
 from .scene import Scene
-from .shaft import Occluders
 from .trace import Hits, Tracer
 
 # A depth that no path reaches.
 UNLIMITED = 1 << 30
-# Of a ray beside its origin and direction: throughput and density.
-STATE_ROWS = 4
+# Words before the planes of a wave, and between the two counts there: a cache line each.
+HEADER, COUNT_STEP = 32, 16
+# Planes of a wave, and of them those that the host reads and writes; paths.cl has the list.
+PLANES, HOST_PLANES = 26, 17
 # Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
 # the same where the mean of what is ended is known. Of those tried, the least variance times rays
 # (96 x 96 points, one pair of seeds, Cornell box and interior).
@@ -38,33 +38,61 @@ def sample_source(
     tracer: Tracer,
     points: ShadingPoints,
     integrand: Integrand,
-    sampler: str,
-    seed: int,
-    samples_per_point: int,
-    occluders: Occluders | None = None,
+    *rest: Any,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it takes them."""
     kind = PathSource if integrand.nested else SampleSource
-    return kind(device, scene, tracer, points, integrand, sampler, seed, samples_per_point, occluders)
+    return kind(device, scene, tracer, points, integrand, *rest)
 
 
-class _Rays(NamedTuple):
-    """Memory for rays and what they carry, as paths.cl lays it out."""
+class _Wave:
+    """Memory for the rays of one bounce, and what they find, as paths.cl lays it out.
 
-    origins: HostArray
-    directions: HostArray
-    state: HostArray
-    path: HostArray
+    Attributes
+    ----------
+    words : HostArray
+        float32; some planes hold integers.
+    plane : int
+        Elements of a plane.
+    rays, shadows : int
+        How many go on, and how many end at a light.
+    """
 
-    @classmethod
-    def of(cls, device: Device, capacity: int) -> _Rays:
-        # Kernels load whole vectors, also where the last has lanes without a ray.
-        return cls(
-            _zeros(device, (capacity, 3), np.float32),
-            _zeros(device, (capacity, 3), np.float32),
-            _zeros(device, (STATE_ROWS, capacity), np.float32),
-            _zeros(device, capacity, np.uint32),
-        )
+    def __init__(self, device: Device, capacity: int) -> None:
+        self._width = device.vector_width
+        self.words = HostArray(device, HEADER + PLANES * self._plane_of(capacity), np.float32)
+        self.words.fill(0)
+        self.plane = self.rays = self.shadows = 0
+
+    def make_room(self, count: int) -> None:
+        """For at most `count` rays of each kind."""
+        self.plane = self._plane_of(count)
+
+    def _plane_of(self, count: int) -> int:
+        # Whole vectors; and one line more than what may be a power of two, or all planes would share a
+        # few sets of the cache.
+        return -(-count // self._width) * self._width + COUNT_STEP
+
+    def trace(self, tracer: Tracer) -> float:
+        """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
+        with self.words.mapped(count=HEADER + HOST_PLANES * self.plane, update=True) as words:
+            started = time.perf_counter()
+            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
+            self.rays, self.shadows = counts.tolist()
+            counts[:] = 0
+            planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
+            rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
+            tracer.closest_and_visible(
+                rays[:3].T, rays[3:6].T, Hits(rays[12].view(np.int32), *rays[13:16]),
+                shadows[6:9].T, shadows[9:12].T, planes[16].view(np.uint8)[: self.shadows],
+            )  # fmt: skip
+            return time.perf_counter() - started
+
+    def under_way(self) -> tuple[np.ndarray, np.ndarray]:
+        """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
+        with self.words.mapped() as words:
+            planes = words[HEADER : HEADER + PLANES * self.plane].reshape(PLANES, self.plane)
+            return planes[21, : self.rays].copy().view(np.uint32), planes[17:20, : self.rays].copy()
 
 
 class PathSource(SampleSource):
@@ -81,13 +109,9 @@ class PathSource(SampleSource):
         points: ShadingPoints,
         integrand: GlobalIllumination,
         sampler: str,
-        seed: int,
-        samples_per_point: int,
-        occluders: Occluders | None = None,
+        *rest: Any,
     ) -> None:
-        super().__init__(
-            device, scene, tracer, points, integrand, sampler, seed, samples_per_point, occluders
-        )
+        super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
         self._max_depth = integrand.max_depth or UNLIMITED
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
@@ -102,7 +126,8 @@ class PathSource(SampleSource):
             **sampler_defines(sampler),
             **integrand.defines(scene),
             **defines,
-            "STATE_ROWS": f"{STATE_ROWS}u",
+            "HEADER": f"{HEADER}u",
+            "COUNT_STEP": f"{COUNT_STEP}u",
             "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
             **ray_defines(),
             "DENSITY_BINS": DENSITY_BINS,
@@ -110,17 +135,9 @@ class PathSource(SampleSource):
         }
         self._choose_program()
         capacity = self._capacity
-        self._rays, self._next, self._shadows = (_Rays.of(device, capacity) for _ in range(3))
-        self._hits = Hits(
-            _zeros(device, capacity, np.int32),
-            *(_zeros(device, capacity, np.float32) for _ in range(3)),
-        )
+        self._wave, self._next = (_Wave(device, capacity) for _ in range(2))
         self._radiance = HostArray(device, (self.channels, capacity), np.float32)
         self._place = _zeros(device, capacity, np.uint32)
-        self._counts = HostArray(device, 2, np.uint32)
-        self._lit = HostArray(device, capacity, np.uint8)
-        # Shadow rays end at multiple 1 of their directions.
-        self._reach = np.ones(capacity, np.float32)
         # Values are complete: all samples share one ray that has been answered.
         self._whole_slot = _zeros(device, capacity, np.uint32)
         self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
@@ -169,17 +186,18 @@ class PathSource(SampleSource):
         """
         batch = super().draw(points, samples, stream, order, density)
         begun, traced = time.perf_counter(), self.rays.trace_seconds
-        alive, bounce = self._begin(batch), 1
         path_stream = stream if paths is None else paths
-        while alive:
-            self._trace(alive)
-            shadows, alive = self._shade(batch, bounce, alive, samples.start, path_stream)
-            self._add_lit(shadows)
-            self._rays, self._next = self._next, self._rays
-            if bounce == 1 and self._recorder is not None:
-                under_way = self._under_way(alive)
+        self._begin(batch)
+        bounce, under_way = 1, None
+        self._trace()
+        while self._wave.rays or self._wave.shadows:
+            self._add_lit()
+            if bounce == 2 and self._recorder is not None:
+                under_way = self._under_way()
+            self._shade(batch, bounce, samples.start, path_stream)
+            self._trace()
             bounce += 1
-        if bounce > 2 and self._recorder is not None:
+        if under_way is not None:
             self._record(*under_way)
         count = len(batch.points) * batch.stride
         self._paths.kernel("finish_paths")(
@@ -200,9 +218,10 @@ class PathSource(SampleSource):
             self._whole_slot, self._whole_visible, batch.weight,
         )  # fmt: skip
 
-    def _begin(self, batch: Batch) -> int:
-        """The first rays; returns how many."""
-        self._counts.fill(0)
+    def _begin(self, batch: Batch) -> None:
+        """The first rays."""
+        wave = self._wave
+        wave.make_room(len(batch.points) * batch.stride)
         self._paths.kernel("begin_paths")(
             len(batch.points) * batch.stride // self.device.vector_width,
             batch.points.start,
@@ -217,15 +236,13 @@ class PathSource(SampleSource):
             batch.u,
             batch.v,
             self._radiance,
-            *self._rays,
-            self._counts,
+            wave.plane,
+            wave.words,
         )
-        return int(self._counts.read()[0])
 
-    def _under_way(self, alive: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _under_way(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays that leave the first hits: their paths, throughputs, what the paths brought so far."""
-        with self._rays.path.mapped(count=alive) as path, self._rays.state.mapped() as state:
-            path, throughput = path.copy(), state[:3, :alive].copy()
+        path, throughput = self._wave.under_way()
         with self._radiance.mapped() as radiance:
             return path, throughput, radiance[:, path]
 
@@ -239,42 +256,32 @@ class PathSource(SampleSource):
         known = place != NO_RAY
         self._recorder.add(place[known], arrived[:, known])
 
-    def _trace(self, alive: int) -> None:
-        """Closest hits of the rays under way."""
-        started = time.perf_counter()
-        with ExitStack() as stack:
-            origins, directions = (
-                stack.enter_context(one.mapped(count=alive)) for one in self._rays[:2]
-            )
-            hits = self._hits
-            # Whole vectors: lanes past the last ray are to have hit nothing.
-            width = self.device.vector_width
-            padded = -(-alive // width) * width
-            views = [
-                stack.enter_context(one.mapped(write=True, count=padded))
-                for one in (hits.triangle, hits.u, hits.v, hits.distance)
-            ]
-            for view, nothing in zip(views, (-1, 0, 0, 0), strict=True):
-                view[alive:] = nothing
-            self._tracer.closest(origins, directions, Hits(*(view[:alive] for view in views)))
-        self.rays.trace_seconds += time.perf_counter() - started
-        self.rays.traced += alive
+    def _trace(self) -> None:
+        """Closest hits of the rays under way, and which shadow rays reach their lights."""
+        self.rays.trace_seconds += self._wave.trace(self._tracer)
+        self.rays.traced += self._wave.rays + self._wave.shadows
 
-    def _shade(
-        self, batch: Batch, bounce: int, alive: int, first_sample: int, stream: int
-    ) -> tuple[int, int]:
-        """From hits to shadow rays and the next rays; returns how many of each."""
-        self._counts.fill(0)
-        hits = self._hits
+    def _add_lit(self) -> None:
+        """Add what shadow rays found visible."""
+        wave = self._wave
+        self._paths.kernel("add_lit")(
+            wave.shadows, wave.shadows, self._capacity, wave.plane, wave.words, self._radiance
+        )
+
+    def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
+        """From hits to shadow rays and the next rays, which are then the wave."""
+        wave, following = self._wave, self._next
+        following.make_room(wave.rays)
         self._paths.kernel("shade_hits")(
-            -(-alive // self.device.vector_width),
-            alive,
+            -(-wave.rays // self.device.vector_width),
+            wave.rays,
             self._capacity,
             self._max_depth,
             bounce,
             batch.points.start,
             first_sample,
             batch.stride,
+            1.0 / batch.stride,
             stream,
             *self._seed,
             batch.order,
@@ -283,41 +290,13 @@ class PathSource(SampleSource):
             self._frame,
             *(self._guide or (self._frame, self._frame)),
             self._place,
-            hits.triangle,
-            hits.u,
-            hits.v,
-            hits.distance,
-            self._rays.directions,
-            self._rays.state,
-            self._rays.path,
+            wave.plane,
+            wave.words,
             self._radiance,
-            *self._shadows,
-            *self._next,
-            self._counts,
+            following.plane,
+            following.words,
         )
-        shadows, alive = self._counts.read().tolist()
-        return shadows, alive
-
-    def _add_lit(self, count: int) -> None:
-        """Trace the shadow rays and add what they found visible."""
-        started = time.perf_counter()
-        with (
-            self._shadows.origins.mapped(count=count) as origins,
-            self._shadows.directions.mapped(count=count) as directions,
-            self._lit.mapped(write=True, count=count) as lit,
-        ):
-            self._tracer.visible(origins, directions, self._reach[:count], lit)
-        self.rays.trace_seconds += time.perf_counter() - started
-        self.rays.traced += count
-        self._paths.kernel("add_lit")(
-            count,
-            count,
-            self._capacity,
-            self._lit,
-            self._shadows.state,
-            self._shadows.path,
-            self._radiance,
-        )
+        self._wave, self._next = following, wave
 
 
 def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArray:
@@ -335,6 +314,8 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
     normals = np.cross(scaled[:, 0], scaled[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offsets = RELATIVE_OFFSET * np.abs(corners).max(axis=(1, 2))
+    smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
+    offsets[smooth] *= -1.0
     materials = [scene.materials[index] for index in range(len(scene.materials))]
     rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
             for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
@@ -344,9 +325,8 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "HAS_NORMALS": int(scene.vertex_normals.any()),
     }
     parts = [
-        corners[:, 0],
-        edges.reshape(len(corners), 6),
         normals,
+        np.sum(normals * corners[:, 0], axis=1, keepdims=True),
         offsets[:, None],
         scene.triangle_light[:, None],
         rows["albedo"][own],

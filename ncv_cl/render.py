@@ -362,8 +362,10 @@ class _Rendering:
             if guided:
                 with self.watch("guide"):
                     self.guide = self.source.learn_guide()
-            # The first pass of "auto" has more samples than training.
-            self.before = self.before or learned.estimate
+            # The first pass of "auto", if there was one, and training have samples of their own.
+            self.before = (
+                learned.estimate if self.before is None else self.before.merged(learned.estimate)
+            )
         else:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:

@@ -13,8 +13,9 @@ from embreex.mesh_construction import TriangleMesh
 
 from .scene import Scene
 
-# Rays a task; small enough to balance threads, large enough to hide the call.
+# Rays a task at most and at least; small enough to balance threads, large enough to hide the call.
 CHUNK = 1 << 14
+SMALLEST_CHUNK = 1 << 11
 
 
 @dataclass(frozen=True)
@@ -60,15 +61,7 @@ class Tracer:
         """
         kinds = (np.int32, np.float32, np.float32, np.float32)
         hits = out or Hits(*(np.empty(len(origins), kind) for kind in kinds))
-
-        def trace(part: slice) -> None:
-            found = self._scene.run(origins[part], directions[part], output=True)
-            hits.triangle[part] = found["primID"]
-            hits.u[part] = found["u"]
-            hits.v[part] = found["v"]
-            hits.distance[part] = found["tfar"]
-
-        self._in_chunks(len(origins), trace)
+        self._in_chunks((len(origins), self._closest_part(origins, directions, hits)))
         return hits
 
     def visible(
@@ -82,17 +75,56 @@ class Tracer:
 
         Directions need no unit length; distances are in multiples of them.
         """
+        self._in_chunks((len(origins), self._visible_part(origins, directions, distances, out)))
 
+    def closest_and_visible(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        hits: Hits,
+        shadow_origins: np.ndarray,
+        shadow_directions: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """`closest` of some rays, `visible` to the ends of others: threads wait once for both."""
+        shadows = (shadow_origins, shadow_directions, np.ones(len(out), np.float32), out)
+        self._in_chunks(
+            (len(origins), self._closest_part(origins, directions, hits)),
+            (len(shadow_origins), self._visible_part(*shadows)),
+        )
+
+    def _closest_part(
+        self, origins: np.ndarray, directions: np.ndarray, hits: Hits
+    ) -> Callable[[slice], None]:
+        def trace(part: slice) -> None:
+            found = self._scene.run(origins[part], directions[part], output=True)
+            hits.triangle[part] = found["primID"]
+            hits.u[part] = found["u"]
+            hits.v[part] = found["v"]
+            hits.distance[part] = found["tfar"]
+
+        return trace
+
+    def _visible_part(
+        self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
+    ) -> Callable[[slice], None]:
         def trace(part: slice) -> None:
             blocked = self._scene.run(origins[part], directions[part], distances[part], query="OCCLUDED")
             np.less(blocked, 0, out=out[part].view(np.bool_))
 
-        self._in_chunks(len(origins), trace)
+        return trace
 
-    def _in_chunks(self, rays: int, trace: Callable[[slice], None]) -> None:
-        parts = [slice(start, min(start + CHUNK, rays)) for start in range(0, rays, CHUNK)]
+    def _in_chunks(self, *work: tuple[int, Callable[[slice], None]]) -> None:
+        """Do each (rays, what traces a part of them), cut into parts that all threads share."""
+        shared = sum(rays for rays, _ in work) // (2 * self.threads)
+        step = min(max(shared, SMALLEST_CHUNK), CHUNK)
+        parts = [
+            (trace, slice(start, min(start + step, rays)))
+            for rays, trace in work
+            for start in range(0, rays, step)
+        ]
         if len(parts) == 1:
-            trace(parts[0])
+            parts[0][0](parts[0][1])
         else:
             # list() passes on what a thread raised.
-            list(self._pool.map(trace, parts))
+            list(self._pool.map(lambda part: part[0](part[1]), parts))

@@ -262,6 +262,9 @@ class RayRecorder:
     def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
         return self.tracer.closest(origins, directions, out)
 
+    def closest_and_visible(self, *arrays: np.ndarray | Hits) -> None:
+        self.tracer.closest_and_visible(*arrays)
+
 
 def sampling(
     device: Device,

@@ -36,6 +36,15 @@ kernel void bare_density(const uint count, global const float *surface, global c
   STORE(scattering_density(&s, towards), result + first);
 }
 """
+TURNS = """
+kernel void turns(const uint count, global const float *angle, global float *result) {
+  const uint first = (uint)get_global_id(0) * VEC;
+  if (first >= count) return;
+  real cosine;
+  STORE(sincos_of_turns(LOAD(angle + first), &cosine), result + first);
+  STORE(cosine, result + count + first);
+}
+"""
 NORMAL = unit([0.3, -0.8, 0.45])
 MATTE = ((0.4, 0.5, 0.6), (0.0, 0.0, 0.0), 1.0)
 SURFACES = [MATTE] + [((0.3, 0.2, 0.1), (0.3, 0.5, 0.4), roughness) for roughness in (0.3, 0.6, 1.0)]
@@ -124,3 +133,15 @@ def test_neighbours_on_the_square_are_neighbours_on_the_hemisphere(device):
     disc = directions @ axes()[:2].T
     for axis in (0, 1):
         assert np.linalg.norm(np.diff(disc, axis=axis), axis=-1).max() < 4 / side
+
+
+def test_sine_and_cosine_of_turns(device):
+    defines = {**surface_defines(), "HAS_SPECULAR": 1}
+    kernel = bare_kernel(device, ("common", "surface", "bsdf", "bounce"), defines, TURNS, "turns")
+    count = 1 << 12
+    angle = np.linspace(-1.25, 1.25, count).astype(np.float32)
+    angle[:9] = np.arange(-4, 5) / 4
+    result = HostArray(device, (2, count), np.float32)
+    kernel(count // device.vector_width, count, HostArray.of(device, angle), result)
+    exact = 2 * np.pi * angle.astype(float)
+    np.testing.assert_allclose(result.read(), [np.sin(exact), np.cos(exact)], rtol=0, atol=2e-7)

@@ -8,7 +8,7 @@ import trimesh
 from reference import camera_at, intersect, mesh_scene, quad, sampling, unit
 
 from ncv_cl.integrands import AmbientOcclusion
-from ncv_cl.trace import Tracer
+from ncv_cl.trace import Hits, Tracer
 
 HERE = camera_at([0, 0, 5], [0, 0, 0])
 SLACK = 1e-4
@@ -57,6 +57,24 @@ def test_chunks_and_threads_change_nothing(monkeypatch):
     parts = Tracer(scene, 4).closest(origins, directions)
     for name in ("triangle", "u", "v"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
+
+
+def test_both_kinds_at_once_are_each_alone(monkeypatch):
+    monkeypatch.setattr("ncv_cl.trace.SMALLEST_CHUNK", 300)
+    scene, origins, directions = random_case(5003)
+    tracer = Tracer(scene, 3)
+    # Planes, as wavefronts have them, instead of rows.
+    planes = np.ascontiguousarray(np.concatenate([origins, directions], axis=1).T)
+    kinds = (np.int32, np.float32, np.float32, np.float32)
+    hits, answers = Hits(*(np.empty(5003, kind) for kind in kinds)), np.full(2001, 99, np.uint8)
+    shadows = planes[:3, :2001].T, planes[3:, :2001].T
+    tracer.closest_and_visible(planes[:3].T, planes[3:].T, hits, *shadows, answers)
+    alone = tracer.closest(origins, directions)
+    for name in ("triangle", "u", "v", "distance"):
+        np.testing.assert_array_equal(getattr(hits, name), getattr(alone, name))
+    expected = np.zeros(2001, np.uint8)
+    tracer.visible(origins[:2001], directions[:2001], np.ones(2001, np.float32), expected)
+    np.testing.assert_array_equal(answers, expected)
 
 
 def convex_shapes() -> dict[str, tuple[np.ndarray, np.ndarray | None]]:
