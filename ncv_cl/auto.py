@@ -12,14 +12,14 @@ from .probe import cached_probe
 
 # Samples a point of the first pass, on which the choice rests; they stay in the image.
 FIRST_SAMPLES = 16
-# Training in inference samples of the probe's network; then what folding, tabulating and integrating
-# take at a point.
-FIXED_INFERENCE_SAMPLES = 5e7
-INFERENCE_SAMPLES_A_POINT = 150.0
+# Training in inference samples of the probe's network; then what folding, tabulating, integrating and
+# resolving take at a point (PoCL 3.1, 96 x 96 to 512 x 512 points).
+FIXED_INFERENCE_SAMPLES = 1.75e7
+INFERENCE_SAMPLES_A_POINT = 200.0
 # What a sample's ray costs more where the shadows' edges are; and what warping and inference add to it,
 # in inference samples of the probe's network.
-RAY_COST = 1.15
-SAMPLE_INFERENCE = 1.2
+RAY_COST = 1.2
+SAMPLE_INFERENCE = 0.8
 # By how much the variance falls where all points are alike, as for the shipped scenes' ambient
 # occlusion; allocation brings the rest. All were set on the scenes that bench_curves.py reports.
 DENSITY_GAIN = 1.6

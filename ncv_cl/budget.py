@@ -22,10 +22,11 @@ LARGEST_SHARE = 0.25
 # Points that are held out, and the part of all points that may be.
 HELD_OUT_POINTS = 512
 HELD_OUT_SHARE = 1 / 16
-# What one use of a training sample and one traced ray cost, in residual samples whose visibility is
-# tested on the device. Measured on two loaded cores: 1.4 to 2.5, beside what each round takes to begin,
-# and 3 to 4. Never what the clock says, since a render must be the same again.
-USE_COST = 3.0
+# What one use of a training sample, with its share of what a round takes to begin, and one traced ray
+# cost, in residual samples whose visibility is tested on the device. Measured on two quiet cores: 4 to 10
+# (direct light, 256 x 256 and 512 x 512), and 3 to 4. Never what the clock says, since a render must be
+# the same again.
+USE_COST = 8.0
 RAY_COST = 3.0
 # Samples of the estimate that reach an error, drawn by density and allocation, are as the residual's
 # variance to this power. Measured at 256 samples a point where 2^18 training samples or more are
