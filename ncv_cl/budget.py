@@ -23,9 +23,9 @@ LARGEST_SHARE = 0.25
 HELD_OUT_POINTS = 512
 HELD_OUT_SHARE = 1 / 16
 # What one use of a training sample, with its share of what a round takes to begin, and one traced ray
-# cost, in residual samples whose visibility is tested on the device. Measured on two quiet cores: 4 to 10
-# (direct light, 256 x 256 and 512 x 512), and 3 to 4. Never what the clock says, since a render must be
-# the same again.
+# cost, in residual samples whose visibility is tested on the device. Measured on two quiet cores: 4 to
+# 10 (direct light, 256 x 256 and 512 x 512), and 3 to 4. Never what the clock says, since a render must
+# be the same again.
 USE_COST = 8.0
 RAY_COST = 3.0
 # Samples of the estimate that reach an error, drawn by density and allocation, are as the residual's
