@@ -98,7 +98,8 @@ def runs(budgets: tuple[int, ...], quick: bool) -> list[tuple[str, int, int]]:
     """(preset, samples a point, passes): the slides' preset uses each sample once."""
     slides = [("slides", samples, 1) for samples in budgets]
     passes = (1, 4) if quick else (1, 2, 4, 8, 16)
-    return slides + [("default", samples, n) for samples in budgets for n in passes]
+    wide = [("wide", budgets[-1], n) for n in passes[1:]]
+    return slides + [("default", samples, n) for samples in budgets for n in passes] + wide
 
 
 def plot(rows: list[dict], device: str, path: str) -> None:
@@ -109,7 +110,7 @@ def plot(rows: list[dict], device: str, path: str) -> None:
 
     figure, axes = pyplot.subplots(1, len(CASES), figsize=(4 * len(CASES), 4), sharey=True)
     for axis, (scene, integrand) in zip(axes, CASES, strict=True):
-        for name, marker in (("slides", "s"), ("default", "o")):
+        for name, marker in (("slides", "s"), ("default", "o"), ("wide", "^")):
             chosen = [
                 r for r in rows if (r["scene"], r["integrand"], r["preset"]) == (scene, integrand, name)
             ]
