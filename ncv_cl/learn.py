@@ -141,24 +141,23 @@ class _Learning:
             schedule = self._schedule(slower, current)
             trainer = self._train(schedule, current, estimator, trainer, losses)
             used += current.count
-            if held_out is not None and np.isfinite(losses[-1]):
-                with self.watch("train"):
-                    found.append((used, *held_out.variances(trainer.network())))
+            with self.watch("train"):
+                network = trainer.network()
+                if held_out is not None and np.isfinite(losses[-1]):
+                    found.append((used, *held_out.variances(network)))
             if number == len(budget.rounds) or not np.isfinite(losses[-1]) or self.stop():
                 break
             traced = (source.rays.traced - rays) / (used + budget.held_out.count)
             if not self._pays(found, slower, budget.rounds[number], traced):
                 break
-        with self.watch("train"):
-            network = trainer.network()
         about: dict[str, object] = {
             "samples": used,
             "passes": schedule.passes,
             "rounds": number,
             "held_out": [left / plain if plain else 0.0 for _, left, plain in found],
         }
-        network = None if _diverged(network, losses) else network
-        return Learned(estimator.result(), network, trainer, about)
+        learned = None if _diverged(network, losses) else network
+        return Learned(estimator.result(), learned, trainer, about)
 
     def _pays(
         self,
