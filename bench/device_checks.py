@@ -78,7 +78,7 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("training", "test_train", "test_two_runs_are_bit_equal", {"demodulated": True}),
     ("density", "test_density", "test_gradients_match_finite_differences", {}),
     ("density", "test_density", "test_the_magnitude_is_learned_and_tabulated", {}),
-    ("warp", "test_density", "test_weights_are_one_over_the_density", {"sampler": "sobol"}),
+    ("warp", "test_warp", "test_weights_are_one_over_the_density", {"sampler": "sobol"}),
     ("triangles", "test_triangulate", "test_samples_match_float64", {"sampler": "sobol"}),
     ("triangles", "test_triangulate", "test_records_match_float64", {}),
     ("integration", "test_integrate", "test_methods_meet_rational_arithmetic",

@@ -8,10 +8,15 @@
 /* 1 where the ray of a sample reached its end, or is known to (SEEN); 0 where it was blocked or never traced. */
 real load_visibility(global const uint *restrict slot, global const uchar *restrict visible,
                      const ulong at) {
+  const bits own = LOAD(slot + at);
+  const whole seen = own == (bits)SEEN;
+  const whole asked = (own != (bits)SEEN) && (own != (bits)NO_RAY);
+  /* Where all of a point's occluders are known, nobody was asked. */
+  if (!ANY(asked)) return SELECT((real)0.0f, (real)1.0f, seen);
+  uint slots[VEC];
   float answer[VEC];
-  for (uint lane = 0; lane < VEC; ++lane) {
-    const uint own = slot[at + lane];
-    answer[lane] = own == SEEN || (own != NO_RAY && visible[own] != 0) ? 1.0f : 0.0f;
-  }
+  STORE(own, slots);
+  for (uint lane = 0; lane < VEC; ++lane)
+    answer[lane] = slots[lane] == SEEN || (slots[lane] != NO_RAY && visible[slots[lane]] != 0) ? 1.0f : 0.0f;
   return LOAD(answer);
 }

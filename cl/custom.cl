@@ -12,7 +12,7 @@ kernel void draw_coordinates(const uint first_point, const uint point_count, con
                              const uint stride, const uint stream, const uint seed_low, const uint seed_high,
                              global const uint *restrict order,
 #if WARPED
-                             global const float *restrict density, global float *restrict weight,
+                             global const uint *restrict density, global float *restrict weight,
 #endif
                              global float *restrict u, global float *restrict v) {
   const uint blocks = stride / VEC;
@@ -24,7 +24,7 @@ kernel void draw_coordinates(const uint first_point, const uint point_count, con
   sample_square(point, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream, seed_low, seed_high, &sample_u,
                 &sample_v);
 #if WARPED
-  global const float *record = density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_FLOATS;
+  global const uint *record = density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_WORDS;
   STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
   STORE(sample_u, u + at);

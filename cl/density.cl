@@ -179,18 +179,29 @@ kernel void density_adam(const uint groups, const float rate, const float correc
 }
 #else
 
-/* One distribution over DENSITY_BINS bins as warp.cl reads it, for VEC points at once: cumulative
- * probabilities of `weight`, which sum to `total`. */
-void store_distribution(const real weight[DENSITY_BINS], const real total, const uint valid,
-                        global float *restrict record) {
+/* One row of a record of warp.cl for VEC points at once: edges of bins of `weight`, which sum to `total`. Every
+ * bin keeps one unit at least. */
+void store_row(const real weight[DENSITY_BINS], const real total, const uint valid, global uint *restrict row) {
+  const real units = (float)EDGE_UNITS / total;
   real sum = (real)0.0f;
-  for (uint bin = 0; bin <= DENSITY_BINS; ++bin) {
-    float edge[VEC];
-    STORE(bin < DENSITY_BINS ? sum / total : (real)1.0f, edge);
-    for (uint lane = 0; lane < valid; ++lane) record[lane * DENSITY_FLOATS + bin] = edge[lane];
-    if (bin < DENSITY_BINS) sum += weight[bin];
+  bits words[2] = {(bits)0u, (bits)0u};
+  whole before = (whole)0;
+  for (int edge = 1; edge < DENSITY_BINS; ++edge) {
+    sum += weight[edge - 1];
+    const whole nearest = TO_WHOLE(FMA(sum, units, (real)0.5f));
+    before = clamp(nearest, before + 1, (whole)(EDGE_UNITS - DENSITY_BINS + edge));
+    words[(edge - 1) / 4] |= TO_BITS(before) << (uint)(8 * ((edge - 1) % 4));
+  }
+  for (int k = 0; k < 2; ++k) {
+    uint word[VEC];
+    STORE(words[k], word);
+    for (uint lane = 0; lane < valid; ++lane) row[lane * DENSITY_WORDS + k] = word[lane];
   }
 }
+
+/* Sums side by side: independent ones hide the latency of FMA, and stay in registers. DENSITY_HIDDEN and CELLS are
+ * multiples of it. */
+#define SUMS 8
 
 /* The densities of points first_point .. first_point + count, whose features are the first `count` columns, and
  * the mean of e over the square in `magnitude`. A share of UNIFORM_SHARE of each density is uniform. */
@@ -199,33 +210,49 @@ kernel void density_tables(const uint count, const uint stride, const uint first
                            global const float *restrict feature_mean,
                            global const float *restrict feature_scale,
                            global const float *restrict parameters, global float *restrict magnitude,
-                           global float *restrict density) {
+                           global uint *restrict density) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const uint valid = min((uint)VEC, count - first);
+  real x[FEATURES];
+  for (uint f = 0; f < FEATURES; ++f)
+    x[f] = (LOAD(features + f * (ulong)stride + first) - feature_mean[f]) * feature_scale[f];
   real h[DENSITY_HIDDEN];
-  for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = (real)parameters[AT_UNIT_BIAS + j];
-  for (uint f = 0; f < FEATURES; ++f) {
-    const real x = (LOAD(features + f * (ulong)stride + first) - feature_mean[f]) * feature_scale[f];
-    for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = FMA((real)parameters[f * DENSITY_HIDDEN + j], x, h[j]);
+  for (uint j = 0; j < DENSITY_HIDDEN; j += SUMS) {
+    real sum[SUMS];
+#pragma unroll
+    for (uint k = 0; k < SUMS; ++k) sum[k] = (real)parameters[AT_UNIT_BIAS + j + k];
+    for (uint f = 0; f < FEATURES; ++f) {
+#pragma unroll
+      for (uint k = 0; k < SUMS; ++k) sum[k] = FMA((real)parameters[f * DENSITY_HIDDEN + j + k], x[f], sum[k]);
+    }
+#pragma unroll
+    for (uint k = 0; k < SUMS; ++k) h[j + k] = max(sum[k], (real)0.0f);
   }
-  for (uint j = 0; j < DENSITY_HIDDEN; ++j) h[j] = max(h[j], (real)0.0f);
 
   real e[CELLS];
   real total = (real)0.0f;
-  for (uint k = 0; k < CELLS; ++k) {
-    global const float *restrict weights = parameters + AT_ROWS + k * DENSITY_HIDDEN;
-    real z = (real)parameters[AT_CELL_BIAS + k];
-    for (uint j = 0; j < DENSITY_HIDDEN; ++j) z = FMA((real)weights[j], h[j], z);
-    e[k] = exp(clamp(z, (real)-LOG_LIMIT, (real)LOG_LIMIT));
-    total += e[k];
+  for (uint cell = 0; cell < CELLS; cell += SUMS) {
+    global const float *restrict weights = parameters + AT_ROWS + cell * DENSITY_HIDDEN;
+    real z[SUMS];
+#pragma unroll
+    for (uint k = 0; k < SUMS; ++k) z[k] = (real)parameters[AT_CELL_BIAS + cell + k];
+    for (uint j = 0; j < DENSITY_HIDDEN; ++j) {
+#pragma unroll
+      for (uint k = 0; k < SUMS; ++k) z[k] = FMA((real)weights[k * DENSITY_HIDDEN + j], h[j], z[k]);
+    }
+#pragma unroll
+    for (uint k = 0; k < SUMS; ++k) {
+      e[cell + k] = exp(clamp(z[k], (real)-LOG_LIMIT, (real)LOG_LIMIT));
+      total += e[cell + k];
+    }
   }
   const real mean = total * (1.0f / CELLS);
   float means[VEC];
   STORE(mean, means);
   for (uint lane = 0; lane < valid; ++lane) magnitude[first_point + first + lane] = means[lane];
 
-  global float *restrict record = density + (first_point + first) * (ulong)DENSITY_FLOATS;
+  global uint *restrict record = density + (first_point + first) * (ulong)DENSITY_WORDS;
   const real uniform_part = mean * (UNIFORM_SHARE / (1.0f - UNIFORM_SHARE));
   real strips[DENSITY_BINS];
   real all = (real)0.0f;
@@ -236,9 +263,9 @@ kernel void density_tables(const uint count, const uint stride, const uint first
       cells[bin] += uniform_part;
       strips[strip] += cells[bin];
     }
-    store_distribution(cells, strips[strip], valid, record + (strip + 1) * DENSITY_ROW);
+    store_row(cells, strips[strip], valid, record + 2 * (strip + 1));
     all += strips[strip];
   }
-  store_distribution(strips, all, valid, record);
+  store_row(strips, all, valid, record);
 }
 #endif

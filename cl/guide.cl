@@ -8,7 +8,7 @@
  * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean radiance that arrives there from other surfaces,
  * over the square. It replaces what roulette ends.
  *
- * Joined after warp.cl, which finds the place of a coordinate in a record.
+ * Joined after warp.cl, which sends a coordinate through a row of a record.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
@@ -36,17 +36,11 @@ whole guide_bin(const real u, const real v) {
 }
 
 /* warp_square, with a record a lane. */
-real guide_square(global const float *restrict guide, const whole cell, real *u, real *v) {
+real guide_square(global const uint *restrict guide, const whole cell, real *u, real *v) {
   real inverse_density = (real)1.0f;
-  const whole record = cell * DENSITY_FLOATS;
-  whole strip = record;
-  for (int step = DENSITY_BINS / 2; step > 0; step /= 2)
-    strip = SELECT(strip, strip + step, *u >= gather(guide, strip + step));
-  place_in_bin(strip - record, gather(guide, strip), gather(guide, strip + 1), u, &inverse_density);
-  const whole row = record + (strip - record + 1) * DENSITY_ROW;
-  whole in_strip = row;
-  for (int step = DENSITY_BINS / 2; step > 0; step /= 2)
-    in_strip = SELECT(in_strip, in_strip + step, *v >= gather(guide, in_strip + step));
-  place_in_bin(in_strip - row, gather(guide, in_strip), gather(guide, in_strip + 1), v, &inverse_density);
+  const bits record = TO_BITS(cell * DENSITY_WORDS);
+  const whole strip = warp_axis(gather_bits(guide, record), gather_bits(guide, record + 1u), u, &inverse_density);
+  const bits row = record + TO_BITS(2 * strip + 2);
+  warp_axis(gather_bits(guide, row), gather_bits(guide, row + 1u), v, &inverse_density);
   return inverse_density;
 }

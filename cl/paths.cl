@@ -226,7 +226,7 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
                        global const float *restrict triangles, global const float *restrict lights,
-                       global const float *restrict guide_frame, global const float *restrict guide,
+                       global const float *restrict guide_frame, global const uint *restrict guide,
                        global const float *restrict guide_mean, global uint *restrict guide_place,
                        const uint plane, global const float *restrict wave, global float *restrict radiance,
                        const uint next_plane, global float *restrict next_wave) {

@@ -27,7 +27,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const uint *restrict order, global const float *restrict surface,
                          global const float *restrict integrand_data,
 #if WARPED
-                         global const float *restrict density, global float *restrict weight,
+                         global const uint *restrict density, global float *restrict weight,
 #endif
 #if SHAFTS
                          const uint corner_stride, global const uint *restrict occluders,
@@ -62,7 +62,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     real sample_value[CHANNELS];
     sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
 #if WARPED
-    global const float *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_FLOATS;
+    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
     STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
     evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);

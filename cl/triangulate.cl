@@ -17,14 +17,13 @@
  * sum to MISSED_AREA at most, which bounds the bias. A point that fails (slivers that rounding turned over, or
  * too many of them, lines that are not finite) gets the undivided square, two triangles.
  *
- * Joined after dcel.cl. LINES and their arrays are those of the folded network.
+ * Joined after dcel.cl and warp.cl. LINES and their arrays are those of the folded network.
  *
  * Work-group contract: groups of exactly LANES work-items, one point at a time, each group every n-th point of the
  * batch, with a Workspace of its own in global memory; no local memory. Functions named leader_* are for lane 0
  * between barriers; conditions around barriers are uniform in the group.
  */
 
-#define TABLE_ROW (DENSITY_BINS + 1)
 #define CELLS (DENSITY_BINS * DENSITY_BINS)
 #define HILBERT_SIDE 16
 #define BUCKETS (HILBERT_SIDE * HILBERT_SIDE)
@@ -85,7 +84,7 @@ uint hilbert_index(uint x, uint y) {
 }
 
 /* The point's lines, and its table's cells without their uniform share. */
-void load_point(global Workspace *work, global const float *w1, global const float *b1, global const float *table,
+void load_point(global Workspace *work, global const float *w1, global const float *b1, global const uint *table,
                 const int lane) {
   for (int j = lane; j < LINES; j += LANES) {
     work->lines.a[j] = w1[2 * j];
@@ -94,8 +93,7 @@ void load_point(global Workspace *work, global const float *w1, global const flo
   }
   for (int k = lane; k < CELLS; k += LANES) {
     const int strip = k / DENSITY_BINS;
-    const int at = (strip + 1) * TABLE_ROW + k % DENSITY_BINS;
-    const float probability = (table[strip + 1] - table[strip]) * (table[at + 1] - table[at]);
+    const float probability = bin_probability(table, strip) * bin_probability(table + 2 * strip + 2, k % DENSITY_BINS);
     work->cell[k] = fmax(probability * (float)CELLS - UNIFORM_SHARE, 0.0f);
   }
 }
@@ -259,7 +257,7 @@ kernel void triangulate_memory(global int *bytes) { bytes[0] = (int)sizeof(Works
  * square. */
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     const uint first_point, const uint count, global const uint *restrict order, global const float *restrict w1,
-    global const float *restrict b1, global const float *restrict tables, global Workspace *all_work,
+    global const float *restrict b1, global const uint *restrict tables, global Workspace *all_work,
     global float *restrict records, volatile global int *failed) {
   const int lane = (int)get_local_id(0);
   global Workspace *work = all_work + get_group_id(0);
@@ -267,7 +265,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
   for (uint i = (uint)get_group_id(0); i < count; i += (uint)get_num_groups(0)) {
     const ulong point = order[first_point + i];
     BARRIER();
-    load_point(work, w1 + point * STRIDE_W1, b1 + point * STRIDE_B1, tables + point * (TABLE_ROW * TABLE_ROW), lane);
+    load_point(work, w1 + point * STRIDE_W1, b1 + point * STRIDE_B1, tables + point * DENSITY_WORDS, lane);
     BARRIER();
     if (lane == 0) leader_begin(work);
     BARRIER();
@@ -278,8 +276,8 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
       BARRIER();
       triangulate_faces(work, lane);
     }
-    if (lane == 0) leader_write_triangles(work, records + i * (ulong)RECORD_FLOATS);
+    if (lane == 0) leader_write_triangles(work, records + i * (ulong)RECORD_WORDS);
     BARRIER();
-    write_vertices(work, records + i * (ulong)RECORD_FLOATS, lane);
+    write_vertices(work, records + i * (ulong)RECORD_WORDS, lane);
   }
 }

@@ -1,57 +1,73 @@
 /* Points of the unit square warped to a density that is constant on each of DENSITY_BINS x DENSITY_BINS cells.
  *
- * A shading point's density is a record of (DENSITY_BINS + 1)^2 floats, rows of cumulative probabilities that begin
- * with 0 and end with 1: first the distribution of the strips in u, then for each strip that of its cells
- * in v. u picks the strip and its place in it, v the cell: monotone maps, so that points which are well
- * spread over the square stay well spread under the density (Pharr, Jakob and Humphreys, Physically
- * Based Rendering, section 13.3). DENSITY_BINS is a power of two.
+ * A shading point's density is a record of DENSITY_ROWS rows: first the distribution of the strips in u, then for each
+ * strip that of its cells in v. u picks the strip and its place in it, v the cell: monotone maps, so that
+ * points which are well spread over the square stay well spread under the density (Pharr, Jakob and Humphreys,
+ * Physically Based Rendering, section 13.3).
+ *
+ * Memory layout: a row is two words. Its eight bins have seven inner edges, cumulative probabilities in units of
+ * 1 / EDGE_UNITS, strictly rising: edges 1 to 4 are the bytes of the first word, lowest first, 5 to 7 those of the
+ * second. Nothing is lost by so few digits: the density is what the edges say, exactly, its integral 1 exactly;
+ * edges on multiples of 1 / 256 suit Sobol points, of which 256 have one in each such interval; and records stay in
+ * the cache.
  *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
-#define DENSITY_ROW (DENSITY_BINS + 1)
-#define DENSITY_FLOATS (DENSITY_ROW * DENSITY_ROW)
+#if DENSITY_BINS != 8
+#error "a row's edges are seven bytes"
+#endif
+#define EDGE_UNITS 256
+#define DENSITY_ROWS (DENSITY_BINS + 1)
+#define DENSITY_WORDS (2 * DENSITY_ROWS)
 /* Records are those of all points. */
 #define RECORD_NUMBER(point, in_batch) (point)
 /* The largest number below 1. */
 #define BELOW_ONE 0x1.fffffep-1f
 
-/* Places x, which lies between the cumulative probabilities of bin `number`, in the bin; divides
- * `inverse_density` by the density along this axis. */
-void place_in_bin(const whole number, const real lower, const real upper, real *x, real *inverse_density) {
+/* Sends x through the inverse of the distribution of the row `low`, `high`, a row a lane; divides `inverse_density` by
+ * the density there. Returns the bin. */
+whole warp_axis(const bits low, const bits high, real *x, real *inverse_density) {
+  const real place = *x * (float)EDGE_UNITS;
+  /* Three halvings: by the fourth edge, by the second or sixth, by an odd one. */
+  real edge = TO_REAL(low >> 24);
+  whole above = place >= edge;
+  whole bin = SELECT((whole)0, (whole)4, above);
+  real lower = SELECT((real)0.0f, edge, above);
+  real upper = SELECT(edge, (real)EDGE_UNITS, above);
+  bits edges = SELECT(low, high, above);
+  edge = TO_REAL((edges >> 8) & 255u);
+  above = place >= edge;
+  bin = SELECT(bin, bin + 2, above);
+  lower = SELECT(lower, edge, above);
+  upper = SELECT(edge, upper, above);
+  edges = SELECT(edges, edges >> 16, above);
+  edge = TO_REAL(edges & 255u);
+  above = place >= edge;
+  bin = SELECT(bin, bin + 1, above);
+  lower = SELECT(lower, edge, above);
+  upper = SELECT(edge, upper, above);
   const real inverse = 1.0f / (upper - lower);
-  *inverse_density *= inverse * (1.0f / (float)DENSITY_BINS);
-  *x = min((TO_REAL(number) + (*x - lower) * inverse) * (1.0f / (float)DENSITY_BINS), (real)BELOW_ONE);
+  *inverse_density *= inverse * ((float)EDGE_UNITS / (float)DENSITY_BINS);
+  *x = min((TO_REAL(bin) + (place - lower) * inverse) * (1.0f / (float)DENSITY_BINS), (real)BELOW_ONE);
+  return bin;
 }
 
-/* Sends u through the inverse of the strips' distribution, whose edges all lanes share; returns the strips. */
-whole warp_to_strip(global const float *restrict record, real *u, real *inverse_density) {
-  whole strip = (whole)0;
-  real lower = (real)0.0f;
-  real upper = (real)record[1];
-  for (int edge = 1; edge < DENSITY_BINS; ++edge) {
-    const whole above = *u >= record[edge];
-    strip = SELECT(strip, (whole)edge, above);
-    lower = SELECT(lower, (real)record[edge], above);
-    upper = SELECT(upper, (real)record[edge + 1], above);
-  }
-  place_in_bin(strip, lower, upper, u, inverse_density);
-  return strip;
+/* The edge before bin number `bin` of a row, from 0 to EDGE_UNITS. */
+uint row_edge(global const uint *restrict row, const int bin) {
+  if (bin == 0) return 0u;
+  return bin == DENSITY_BINS ? (uint)EDGE_UNITS : row[(bin - 1) / 4] >> (8 * ((bin - 1) % 4)) & 255u;
 }
 
-/* Sends v through the inverse of the distribution of its strip's cells: each lane searches a row of its own. */
-void warp_in_strip(global const float *restrict record, const whole strip, real *v, real *inverse_density) {
-  const whole row = (strip + 1) * DENSITY_ROW;
-  whole cell = row;
-  for (int step = DENSITY_BINS / 2; step > 0; step /= 2)
-    cell = SELECT(cell, cell + step, *v >= gather(record, cell + step));
-  place_in_bin(cell - row, gather(record, cell), gather(record, cell + 1), v, inverse_density);
+float bin_probability(global const uint *restrict row, const int bin) {
+  return (float)(row_edge(row, bin + 1) - row_edge(row, bin)) / (float)EDGE_UNITS;
 }
 
 /* Warps (u, v); returns one over the density there. */
-real warp_square(global const float *restrict record, real *u, real *v) {
+real warp_square(global const uint *restrict record, real *u, real *v) {
   real inverse_density = (real)1.0f;
-  const whole strip = warp_to_strip(record, u, &inverse_density);
-  warp_in_strip(record, strip, v, &inverse_density);
+  const whole strip = warp_axis((bits)record[0], (bits)record[1], u, &inverse_density);
+  const whole row = 2 * strip + 2;
+  warp_axis(gather_bits(record, TO_BITS(row)), gather_bits(record, TO_BITS(row + 1)), v, &inverse_density);
   return inverse_density;
 }

@@ -22,7 +22,7 @@
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
-#define DENSITY_FLOATS RECORD_FLOATS
+#define DENSITY_WORDS RECORD_WORDS
 /* Records are those of the batch. */
 #define RECORD_NUMBER(point, in_batch) (in_batch)
 /* The largest number below 1. */
@@ -72,11 +72,12 @@ real invert_cubic(const real k, const real x) {
 }
 
 /* Warps (u, v); returns one over the density there. */
-real warp_square(global const float *restrict record, real *u, real *v) {
+real warp_square(global const uint *restrict words, real *u, real *v) {
+  global const float *restrict record = (global const float *)words;
   const whole triangle = find_triangle(record, *u);
   const real lower = gather(record + RECORD_CUMULATIVE, triangle);
   const real probability = gather(record + RECORD_CUMULATIVE, triangle + 1) - lower;
-  const bits corners = gather_bits((global const uint *)record + RECORD_CORNERS, TO_BITS(triangle));
+  const bits corners = gather_bits(words + RECORD_CORNERS, TO_BITS(triangle));
   const real scale = gather(record + RECORD_SCALES, triangle);
   const Corner c0 = load_corner(record, corners, 0, scale);
   const Corner c1 = load_corner(record, corners, 1, scale);

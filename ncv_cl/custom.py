@@ -24,10 +24,11 @@ from .presets import PRESETS
 from .program import build
 from .resolve import combine, estimate_of
 from .sampler import sampler_defines, seed_words
-from .samples import Batch, Batches, Warp, ray_defines
+from .samples import Batch, Batches, ray_defines
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
 from .variate import ControlVariate, integrals_of
+from .warp import Warp
 
 # Samples a point on average in one call of the callable, about.
 SAMPLES_A_PASS = 128

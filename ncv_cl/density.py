@@ -14,8 +14,8 @@ from .encode import Encoder
 from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
 from .points import ShadingPoints
 from .program import Program, build
-from .samples import DENSITY_BINS, DENSITY_FLOATS
 from .train import TrainingSamples
+from .warp import DENSITY_BINS, DENSITY_WORDS
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
 GROUPS = 16
@@ -133,7 +133,7 @@ class Density:
     Attributes
     ----------
     table : HostArray
-        float32 (points, DENSITY_FLOATS), as warp.cl reads it.
+        uint32 (points, DENSITY_WORDS), as warp.cl reads it.
     magnitude : ndarray
         float64 (points,), the mean over the square of the residual's predicted root mean square, in the
         integrand's units.
@@ -163,7 +163,7 @@ def tabulate(
         float32 (points.active,), each point's scale, as the trainer was given it.
     """
     program = build(device, ("common", "warp", "density"), density.settings.defines(network.description))
-    table = HostArray(device, (points.active, DENSITY_FLOATS), np.float32)
+    table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
     inputs = [

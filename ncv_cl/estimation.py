@@ -15,9 +15,10 @@ from .estimate import Estimate, Estimator
 from .network import FoldedNetwork
 from .passes import Passes, Target
 from .sampler import Stream
-from .samples import Batches, TableWarp, Warp
+from .samples import Batches
 from .settings import RenderSettings, Stopwatch
 from .triangulate import TriangleWarp
+from .warp import TableWarp, Warp
 
 
 class Estimation:
@@ -79,16 +80,22 @@ class Estimation:
         self._looks_at_parts = self._second is not None and warp is None
 
     def results(self) -> list[Estimate]:
-        """Estimates so far: of f and, with a control variate, of f - g."""
-        return [self._result(quantity) for quantity in range(self._first.quantities)]
+        """Estimates so far: of f and, with a control variate, of f - g.
 
-    def _result(self, quantity: int) -> Estimate:
+        The image is made of the last one, which alone has points done twice in its mean and variance.
+        """
+        final = self._final()
+        if self._first.quantities == 1:
+            return [final]
+        return [replace(self._first.result(), samples=final.samples), final]
+
+    def _final(self) -> Estimate:
+        """Of what the image is made of, with the variance that its mean has."""
+        quantity = self._first.quantities - 1
         first = self._first.result(quantity)
         if not self._points.active:
             return first
-        # The prior is for what the image is made of, which comes last.
-        last = self._first.quantities - 1
-        prior = self._prior(first if quantity == last else self._first.result(last))
+        prior = self._prior(first)
         if self._second is None:
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
         second = self._second.result(quantity)
@@ -149,7 +156,7 @@ class Estimation:
 
     def image_error(self) -> float:
         """The mean square error of the image's pixels so far, as its variances say."""
-        variance = self._result(self._first.quantities - 1).variance_of_mean
+        variance = self._final().variance_of_mean
         settings = self._settings
         # Errors of a pixel's points are independent; one channel stands for all three.
         pixels = settings.size[0] * settings.size[1]

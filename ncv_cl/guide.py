@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .samples import DENSITY_BINS, DENSITY_FLOATS
 from .scene import Scene
+from .warp import DENSITY_BINS, pack_records
 
 # Boxes along each axis of the scene; each has a cell for the six directions of normals.
 SIDE = 8
@@ -38,7 +38,7 @@ class Guide(NamedTuple):
     Attributes
     ----------
     densities : ndarray
-        float32 (CELLS, DENSITY_FLOATS), records of warp.cl.
+        uint32 (CELLS, DENSITY_WORDS), records of warp.cl.
     means : ndarray
         float32 (CELLS, 3), mean radiance that arrives over the square.
     """
@@ -86,17 +86,5 @@ class GuideRecorder:
         magnitude = np.sqrt(mean)
         total = magnitude.sum(1, keepdims=True)
         learned = np.divide(magnitude, total, out=np.full_like(magnitude, 1 / BINS), where=total > 0)
-        densities = warp_records((1 - UNIFORM_SHARE) * learned + UNIFORM_SHARE / BINS)
+        densities = pack_records((1 - UNIFORM_SHARE) * learned + UNIFORM_SHARE / BINS)
         return Guide(densities, means.T.astype(np.float32))
-
-
-def warp_records(probability: np.ndarray) -> np.ndarray:
-    """Cumulative distributions as warp.cl reads them; `probability` is (records, BINS), rows by u."""
-    parts = probability.reshape(-1, DENSITY_BINS, DENSITY_BINS)
-    strips = parts.sum(2)
-    rows = np.concatenate([strips[:, None], parts / strips[..., None]], axis=1)
-    rows[:, 0] /= rows[:, 0].sum(1, keepdims=True)
-    records = np.zeros((len(parts), DENSITY_BINS + 1, DENSITY_BINS + 1))
-    records[..., 1:] = np.cumsum(rows, axis=2)
-    records[..., -1] = 1.0
-    return records.reshape(-1, DENSITY_FLOATS).astype(np.float32)

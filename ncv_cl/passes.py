@@ -12,8 +12,9 @@ from .allocate import Allocation
 from .device import Device, HostArray
 from .estimate import Estimator
 from .sampler import Stream
-from .samples import Batches, Warp
+from .samples import Batches
 from .settings import Stopwatch
+from .warp import Warp
 
 
 class Target(NamedTuple):

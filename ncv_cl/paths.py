@@ -13,9 +13,10 @@ from .integrands import GlobalIllumination, Integrand
 from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines
 from .program import build
 from .sampler import sampler_defines
-from .samples import DENSITY_BINS, NO_RAY, Batch, SampleSource, Warp, ray_defines
+from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .scene import Scene
 from .trace import Hits, Tracer
+from .warp import DENSITY_BINS, Warp
 
 # A depth that no path reaches.
 UNLIMITED = 1 << 30

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from .sampler import Stream, sampler_defines, seed_words
 from .scene import Scene
 from .shaft import BLOCKS_A_ITEM, Occluders
 from .trace import Tracer
+from .warp import Warp
 
 # Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
 NO_RAY = 0xFFFFFFFF
@@ -24,10 +24,6 @@ SEEN = 0xFFFFFFFE
 SAMPLES_PER_BATCH = 1 << 19
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
 LONGEST_RUN = 1024
-# Cells an axis of a sampling density; a power of two.
-DENSITY_BINS = 8
-# Floats of one point's density: cumulative distributions of the strips, then of each strip's cells.
-DENSITY_FLOATS = (DENSITY_BINS + 1) ** 2
 # Samples whose mean stands for the unshadowed integral; it only scales what the network learns.
 MEAN_SAMPLES = 64
 
@@ -55,46 +51,6 @@ class RayCount:
     on_device: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
-
-
-class Warp:
-    """A density that samples are drawn by.
-
-    Attributes
-    ----------
-    files : tuple of str
-        Kernel files that define `warp_square`, DENSITY_FLOATS and RECORD_NUMBER.
-    defines : dict
-        Their `-D` constants.
-    most_points : int or None
-        Points that a batch may have; None: any number.
-    """
-
-    files: tuple[str, ...]
-    defines: dict[str, int | str]
-    most_points: int | None = None
-
-    def records(self, order: HostArray, points: range) -> HostArray:
-        """What `warp_square` reads to draw samples of points order[i], i in `points`."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class TableWarp(Warp):
-    """Density constant on each of DENSITY_BINS x DENSITY_BINS cells.
-
-    Attributes
-    ----------
-    table : HostArray
-        float32 (points.active, DENSITY_FLOATS), as warp.cl reads it.
-    """
-
-    table: HostArray
-    files: ClassVar[tuple[str, ...]] = ("warp",)
-    defines: ClassVar[dict[str, int | str]] = {"DENSITY_BINS": DENSITY_BINS}
-
-    def records(self, order: HostArray, points: range) -> HostArray:
-        return self.table
 
 
 @dataclass(frozen=True)

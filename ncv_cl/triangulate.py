@@ -12,7 +12,7 @@ from .density import Density
 from .device import Device, HostArray
 from .network import FoldedNetwork, NetworkError
 from .program import build
-from .samples import DENSITY_BINS, Warp
+from .warp import DENSITY_BINS, Warp
 
 # Records held at a time; batches of samples are cut to points that fit.
 RECORD_BYTES = 64 << 20
@@ -114,16 +114,16 @@ class TriangleWarp(Warp):
             "AREA_TOLERANCE": f"{AREA_TOLERANCE!r}f",
             "MISSED_AREA": f"{MISSED_AREA!r}f",
         }
-        self.record_floats = int(self.defines["RECORD_FLOATS"])
-        self.most_points = max(1, RECORD_BYTES // (4 * self.record_floats))
-        self._program = build(device, ("common", "number", "dcel", "triangulate"), self._defines)
+        self.record_words = int(self.defines["RECORD_WORDS"])
+        self.most_points = max(1, RECORD_BYTES // (4 * self.record_words))
+        self._program = build(device, ("common", "number", "dcel", "warp", "triangulate"), self._defines)
         memory = HostArray(device, 1, np.int32)
         self._program.kernel("triangulate_memory")(1, memory, group=1)
         units = device.cl_device.max_compute_units
         self._groups = units if device.lanes == 1 else units * GROUPS_PER_COMPUTE_UNIT
         work_bytes = self._groups * int(memory.read()[0])
         self._work = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size=work_bytes)
-        self._records = HostArray(device, (1, self.record_floats), np.float32)
+        self._records = HostArray(device, (1, self.record_words), np.float32)
         self._failed = HostArray(device, 1, np.int32)
         self._failed.fill(0)
 
@@ -135,7 +135,7 @@ class TriangleWarp(Warp):
         """Records of points order[i], i in `points`, valid until the next call."""
         count = len(points)
         if count > self._records.shape[0]:
-            self._records = HostArray(self._device, (count, self.record_floats), np.float32)
+            self._records = HostArray(self._device, (count, self.record_words), np.float32)
         self._program.kernel("triangulate")(
             min(self._groups, count) * self._device.lanes,
             points.start,
@@ -167,7 +167,7 @@ def _record_defines(bounds: Capacities, uniform_share: float) -> dict[str, int |
         at += size
     return {
         **offsets,
-        "RECORD_FLOATS": math.ceil(at / RECORD_PADDING) * RECORD_PADDING,
+        "RECORD_WORDS": math.ceil(at / RECORD_PADDING) * RECORD_PADDING,
         "VERTEX_BITS": VERTEX_BITS,
         "VERTEX_MASK": f"{(1 << VERTEX_BITS) - 1}u",
         "UNIFORM_SHARE": f"{uniform_share!r}f",

@@ -25,10 +25,11 @@ from ncv_cl.passes import Passes, Target
 from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
 from ncv_cl.presets import PRESETS
 from ncv_cl.sampler import Stream
-from ncv_cl.samples import Batch, TableWarp
+from ncv_cl.samples import Batch
 from ncv_cl.settings import Stopwatch
 from ncv_cl.train import Trainer
 from ncv_cl.variate import integrals_of
+from ncv_cl.warp import TableWarp
 
 from .interface import Estimator, FamilyFunction, Method, Samples
 
