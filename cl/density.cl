@@ -192,7 +192,7 @@ void store_row(const real weight[DENSITY_BINS], const real total, const uint val
     before = clamp(nearest, before + 1, (whole)(EDGE_UNITS - DENSITY_BINS + edge));
     words[(edge - 1) / 4] |= TO_BITS(before) << (uint)(8 * ((edge - 1) % 4));
   }
-  for (int k = 0; k < 2; ++k) {
+  for (uint k = 0; k < 2; ++k) {
     uint word[VEC];
     STORE(words[k], word);
     for (uint lane = 0; lane < valid; ++lane) row[lane * DENSITY_WORDS + k] = word[lane];

@@ -23,6 +23,13 @@ SAMPLE_INFERENCE = 0.8
 # By how much the variance falls where all points are alike, as for the shipped scenes' ambient
 # occlusion; allocation brings the rest. All were set on the scenes that bench_curves.py reports.
 DENSITY_GAIN = 1.6
+# Shadows of so many triangles are learned half as well: seen 1.5 to 2.2 for the Cornell box's direct
+# light (4 occluders where the error is), 0.7 to 0.8 and 0.3 to 0.5 for occluders and knot (27 to 56).
+HALVING_OCCLUDERS = 24.0
+# No sample of plain Monte Carlo is thought to take longer, in inference samples of the probe's network,
+# where its visibility is tested on the device, and where a ray is traced (PoCL 3.1: 15 and 300 ns).
+LONGEST_SAMPLE = 1.0
+LONGEST_RAY = 20.0
 # Errors of Sobol points fall as samples to this power, so samples as variance to its inverse.
 VARIANCE_EXPONENT = 1.5
 # Where samples are nested estimates, noise that no spreading lowers is most of the error: variance falls
@@ -53,15 +60,32 @@ class Prediction:
         Control variate to the same error, training included.
     variance_gain : float
         Variance of plain Monte Carlo over that of the control variate at as many samples.
+    first_pass : bool
+        Whether a first pass was asked. Without one `mc_seconds` is a bound, and `ncv_seconds` training.
     """
 
     method: str
     mc_seconds: float
     ncv_seconds: float
     variance_gain: float
+    first_pass: bool = True
 
     def as_dict(self) -> dict[str, object]:
         return asdict(self)
+
+
+def too_short(device: Device, known: float, traced: float) -> Prediction | None:
+    """Plain Monte Carlo where it cannot take longer than training, whatever its variance; else None.
+
+    Parameters
+    ----------
+    known, traced : float
+        Samples of the image whose visibility is tested on the device, and others.
+    """
+    inference = 1e-9 * cached_probe(device).nanoseconds
+    longest = inference * (LONGEST_SAMPLE * known + LONGEST_RAY * traced)
+    training = inference * FIXED_INFERENCE_SAMPLES
+    return Prediction("mc", longest, training, 1.0, False) if longest < training else None
 
 
 def predict(
@@ -72,6 +96,7 @@ def predict(
     spp: int,
     nested_rays: float | None = None,
     training_samples: float = 0.0,
+    occluders: float = 0.0,
 ) -> Prediction:
     """Choose a method from the estimate and the seconds of a first pass.
 
@@ -90,6 +115,9 @@ def predict(
         Rays a sample, where samples are estimates themselves, whose noise is learned to be lowered.
     training_samples : float
         Samples a point that training takes, where they are dear enough to count.
+    occluders : float
+        Triangles that can shade a point from the lights, on average over points by their error; zero
+        where that is not known.
 
     Notes
     -----
@@ -109,7 +137,8 @@ def predict(
         concentration = min(1.0, normal * float(deviation.mean() ** 2 / np.mean(deviation**2)))
     inference = 1e-9 * cached_probe(device).nanoseconds
     if nested_rays is None:
-        gain, cost, exponent = DENSITY_GAIN / max(concentration, 1e-3), RAY_COST, VARIANCE_EXPONENT
+        learned = DENSITY_GAIN / (1.0 + occluders / HALVING_OCCLUDERS)
+        gain, cost, exponent = learned / max(concentration, 1e-3), RAY_COST, VARIANCE_EXPONENT
         once, margin = FIXED_INFERENCE_SAMPLES, MARGIN
     else:
         gain, cost, exponent = max(1.0, NESTED_GAIN * nested_rays), NESTED_RAY_COST, NESTED_EXPONENT

@@ -5,19 +5,32 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from .auto import Prediction, predict
+import numpy as np
+
+from .auto import Prediction, predict, too_short
 from .device import Device
 from .estimate import Estimator
 from .estimation import Estimation
 from .learn import training_budget
 from .sampler import Stream
-from .samples import Batches
+from .samples import SampleSource
 from .settings import RenderSettings, Stopwatch
+from .shaft import Occluders
+
+
+def predict_without(
+    device: Device, points: int, occluders: Occluders | None, settings: RenderSettings
+) -> Prediction | None:
+    """Plain Monte Carlo where a first pass of `points` points has nothing to decide; else None."""
+    if settings.guides:
+        return None
+    known = points - occluders.unknown if occluders is not None else 0
+    return too_short(device, known * settings.spp, (points - known) * settings.spp)
 
 
 def predict_from_first_pass(
     device: Device,
-    source: Batches,
+    source: SampleSource,
     settings: RenderSettings,
     estimation: Estimation,
     watch: Stopwatch,
@@ -36,18 +49,19 @@ def predict_from_first_pass(
         drawn = float(first.samples.mean()) * (active + len(estimation.twice))
         nested_rays = (source.rays.traced + source.rays.on_device) / drawn
         training = sum(part.count for part in training_budget(settings, active).rounds) / active
-    return predict(
-        device,
-        first,
-        estimation.differences(),
-        seconds,
-        settings.spp,
-        nested_rays,
-        training,
-    )
+    differences = estimation.differences()
+    occluders = 0.0
+    if source.occluders is not None:
+        errors, chosen = first.variance, np.arange(active)
+        if differences is not None:
+            errors, chosen = differences**2, estimation.twice
+        weights = errors.sum(axis=0)
+        if weights.any():
+            occluders = float(np.average(source.occluders.counts(chosen), weights=weights))
+    return predict(device, first, differences, seconds, settings.spp, nested_rays, training, occluders)
 
 
-def _compile_plain(device: Device, source: Batches, settings: RenderSettings) -> None:
+def _compile_plain(device: Device, source: SampleSource, settings: RenderSettings) -> None:
     """Compile what the first pass runs, or compilation would be taken for what samples cost."""
     rays = replace(source.rays)
     estimator = Estimator(device, source.points, settings.integrand.channels)

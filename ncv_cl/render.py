@@ -20,7 +20,7 @@ from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
 from .estimate import Estimate, Estimator
 from .estimation import Estimation
-from .first_pass import predict_from_first_pass
+from .first_pass import predict_from_first_pass, predict_without
 from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
@@ -268,14 +268,19 @@ class _Rendering:
                 self.source.use_guide(resumed.guide)
         elif settings.method == "auto" and points.active and network is None and save_network is None:
             # Who wants a network gets one; else the first pass decides.
-            begun = self._begin_plain()
+            self.prediction = predict_without(
+                self.device, points.active, self.source.occluders, settings
+            )
+            if self.prediction is None:
+                begun = self._begin_plain()
         variate = None
         if points.active and self._wants_network(network):
             variate = self._control_variate(network, density, save_network)
+        asked = self.prediction is not None and self.prediction.first_pass
         if variate is not None or begun is None:
-            first_pass = FIRST_SAMPLES if self.prediction and variate is None else None
+            first_pass = FIRST_SAMPLES if asked and variate is None else None
             begun = self._begin(self._allocate(variate), variate, first_pass)
-        first = 1 if self.prediction and variate is None else 0
+        first = 1 if asked and variate is None else 0
         if resumed is not None:
             first = resumed.passes
             begun.restore(resumed.states, resumed.parts, first)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from .device import Device, HostArray
@@ -77,6 +79,20 @@ class Occluders:
             self.lists,
         )
         device.queue.finish()
+
+    @functools.cached_property
+    def _counts(self) -> np.ndarray:
+        with self.lists.mapped() as lists:
+            return lists[:, 0].copy()
+
+    @property
+    def unknown(self) -> int:
+        """Points that have too many to be listed, whose rays are traced."""
+        return int(np.count_nonzero(self._counts == TOO_MANY))
+
+    def counts(self, chosen: np.ndarray) -> np.ndarray:
+        """How many triangles can shade each of the points `chosen`; too many count as twice the most."""
+        return np.minimum(self._counts[chosen], 2 * self._most)
 
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of shaft.cl, beside those of surface.cl and the integrand."""

@@ -36,28 +36,6 @@ def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monk
     assert np.isfinite(image.pixels).all() and image.pixels.any()
 
 
-@pytest.mark.parametrize("cost", [0.0, 1e30])
-def test_auto_chooses_by_what_the_network_costs(one_device, scenes, monkeypatch, cost):
-    monkeypatch.setattr("ncv_cl.auto.FIXED_INFERENCE_SAMPLES", cost)
-    monkeypatch.setattr("ncv_cl.auto.INFERENCE_SAMPLES_A_POINT", 0.0)
-    image = render(scenes / "cornell_box.toml", "direct", "auto", device=one_device, **OPTIONS)
-    assert image.stats["method"] == image.stats["auto"]["method"] == ("mc" if cost else "ncv")
-    assert ("G" in image.layers) == (not cost)
-    assert image.stats["auto"]["mc_seconds"] > 0
-
-
-def test_auto_that_keeps_to_monte_carlo_is_monte_carlo(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.auto.FIXED_INFERENCE_SAMPLES", 1e30)
-    options = {**OPTIONS, "spp": 96}
-    auto, plain = (
-        render(scenes / "cornell_box.toml", "direct", method, device=one_device, **options)
-        for method in ("auto", "mc")
-    )
-    assert auto.stats["samples_per_point"] == plain.stats["samples_per_point"]
-    # The same samples, in passes of other lengths.
-    np.testing.assert_allclose(auto.pixels, plain.pixels, rtol=1e-5, atol=1e-7)
-
-
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_rendering_ends_at_the_error_asked_for(one_device, scenes, monkeypatch, method):
     monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 16)
