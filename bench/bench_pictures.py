@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib
@@ -44,11 +44,10 @@ class Plan:
 PLANS = {False: Plan(FULL.size, 1024, FULL.reference_spp), True: Plan(96, 16, 2048)}
 
 
-def run(quick: bool, folder: Path, device: Device | None = None) -> dict:
+def run(device: Device, plan: Plan, cases: list[tuple[str, str]], folder: Path) -> dict:
     """Render the strips into `folder`; returns what --json writes."""
-    device, plan = device or choose_device(), PLANS[quick]
     rows = []
-    for scene, integrand in cases_of(quick):
+    for scene, integrand in cases:
         row: dict[str, object] = {"scene": scene, "integrand": integrand}
         try:
             row |= _strip(device, scene, integrand, plan, folder)
@@ -150,9 +149,14 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="small images, few samples")
     parser.add_argument("--json", metavar="FILE", help="write the results here, pictures beside it")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    parser.add_argument("--reference-spp", type=int, help=f"default {FULL.reference_spp}")
+    parser.add_argument("--case", action="append", metavar="SCENE:INTEGRAND", help="default: all")
     options = parser.parse_args()
     folder = Path(options.json).parent if options.json else Path()
-    results = run(options.quick, folder, choose_device(options.device))
+    plan = PLANS[options.quick]
+    plan = replace(plan, reference_spp=options.reference_spp or plan.reference_spp)
+    cases = [tuple(case.split(":")) for case in options.case or ()] or cases_of(options.quick)
+    results = run(choose_device(options.device), plan, cases, folder)
     if options.json:
         Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     return 1 if any("failed" in case for case in results["cases"]) else 0

@@ -192,8 +192,8 @@ def against_the_better(points: list[dict], others: dict[str, Curve]) -> list[dic
     -------
     list of dict
         `spp`, `better` (the name of the curve that reaches the point's error sooner), `ratio` (its
-        seconds over the point's: 1 and more is as good), `method`, what was chosen, and `spread`, the
-        longest of the point's runs over the shortest.
+        seconds over the point's: 1 and more is as good), `ratios`, the same of each curve, `method`,
+        what was chosen, and `spread`, the longest of the point's runs over the shortest.
     """
     rows = []
     for point in points:
@@ -201,8 +201,8 @@ def against_the_better(points: list[dict], others: dict[str, Curve]) -> list[dic
             continue
         needed = {name: float(curve.seconds_to(point["mse"])[0]) for name, curve in others.items()}
         better = min(needed, key=needed.__getitem__)
-        ratio = needed[better] / point["seconds"]
+        ratios = {name: seconds / point["seconds"] for name, seconds in needed.items()}
         shortest, longest = point["seconds_range"]
-        row = {"spp": point["spp"], "method": point["method"], "better": better, "ratio": ratio}
-        rows.append(row | {"spread": longest / shortest})
+        row = {"spp": point["spp"], "method": point["method"], "better": better}
+        rows.append(row | {"ratio": ratios[better], "ratios": ratios, "spread": longest / shortest})
     return rows

@@ -309,9 +309,9 @@ def test_small_curves_are_measured_end_to_end(one_device, tmp_path, monkeypatch)
 
 def test_pictures_are_drawn_at_equal_time(one_device, tmp_path, monkeypatch):
     monkeypatch.setattr(references, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(bench_pictures, "PLANS", {True: bench_pictures.Plan(12, 4, 64)})
-    monkeypatch.setattr(bench_pictures, "cases_of", lambda quick: [("plane_light", "direct")])
-    data = bench_pictures.run(True, tmp_path, one_device)
+    data = bench_pictures.run(
+        one_device, bench_pictures.Plan(12, 4, 64), [("plane_light", "direct")], tmp_path
+    )
     (case,) = data["cases"]
     assert (tmp_path / case["picture"]).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert set(case["methods"]) == {SOBOL, DEFAULT}
