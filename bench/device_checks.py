@@ -170,13 +170,13 @@ def _run(
 def _fixtures(device: Device, function: Callable, arguments: dict) -> Iterator[dict]:
     """The function's arguments: those of the table, and what pytest's fixtures would give it."""
     import pytest
-    import test_density
+    import test_warp
 
     known = {
         "device": lambda: device,
         "one_device": lambda: device,
         "scenes": lambda: SCENES,
-        "plane": lambda: inspect.unwrap(test_density.plane)(),
+        "plane": lambda: inspect.unwrap(test_warp.plane)(),
         "monkeypatch": lambda: patch,
     }
     with pytest.MonkeyPatch.context() as patch:
