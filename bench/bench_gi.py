@@ -57,6 +57,10 @@ VARIANTS = {
 }
 
 
+# Those of which seconds to equal error are told, beside "auto"; the others are held against the first.
+TIMED = ("Sobol", "ncv", "ncv, split direct")
+
+
 class Recorder:
     """Stands where a `Tracer` stands, and keeps what it was asked for."""
 
@@ -242,6 +246,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
     parser.add_argument("--size", type=int, help="pixels a side (default 256; quick: 32)")
     parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument(
+        "--times-only", action="store_true", help="throughput and seconds to equal error, nothing else"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the results here")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
     options = parser.parse_args()
@@ -254,21 +261,25 @@ def main() -> None:
         case = Case(device, name, size)
         case.validate()
         print(f"{name}: mc and ncv agree", flush=True)
-        results[name] = measure(case, spps, options.quick, options.repeats)
+        results[name] = measure(case, spps, options.quick, options.repeats, options.times_only)
     if options.json:
         text = json.dumps({"device": device.identity, "size": size, "cases": results}, indent=1)
         Path(options.json).write_text(text + "\n", encoding="utf-8")
 
 
-def measure(case: Case, spps: tuple[int, int], quick: bool, repeats: int) -> dict[str, object]:
+def measure(
+    case: Case, spps: tuple[int, int], quick: bool, repeats: int, times_only: bool
+) -> dict[str, object]:
     speed = throughput(case, 8 if quick else 16)
     print(
         f"  paths {speed['million_rays_a_second']:.2f} M rays a second, embreex alone "
         f"{speed['embreex_million_rays_a_second']:.2f}: {speed['ratio']:.3f}", flush=True,
     )  # fmt: skip
-    findings = finding_table(case)
+    findings = [] if times_only else finding_table(case)
     runs = {}
     for name, options in VARIANTS.items():
+        if times_only and name not in TIMED:
+            continue
         # Kernels are compiled outside the clock.
         case.render(8, 1, **options)
         runs[name] = [case.error(spp, repeats, **options) for spp in spps]
@@ -284,7 +295,7 @@ def measure(case: Case, spps: tuple[int, int], quick: bool, repeats: int) -> dic
     runs["auto"] = [case.error(spp, repeats, method="auto") for spp in spps]
     target = runs["Sobol"][-1]
     speedups = {}
-    for name in ("ncv", "ncv, split direct", "auto"):
+    for name in (*TIMED[1:], "auto"):
         speedups[name] = target["seconds"] / max(seconds_to(runs[name], target["mse"]), 1e-9)
     print(
         f"  error of {spps[-1]} Sobol samples, {target['seconds']:.2f} s; seconds of Sobol over seconds "

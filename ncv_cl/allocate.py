@@ -62,6 +62,22 @@ class Allocation:
         """Samples of all points together."""
         return int(self.counts.sum())
 
+    def converged(self) -> dict[str, int]:
+        """Points that get the fewest samples, since more would be of no use, and what that saves.
+
+        Returns
+        -------
+        dict
+            ``converged_points``, none where all get alike, and ``converged_samples``, how many less
+            than the average they get in all.
+        """
+        fewest = int(self.counts.min()) if len(self.counts) else 0
+        points = int(np.count_nonzero(self.counts == fewest))
+        if points == len(self.counts):
+            return {"converged_points": 0, "converged_samples": 0}
+        saved = points * (self.samples / len(self.counts) - fewest)
+        return {"converged_points": points, "converged_samples": round(saved)}
+
     def part(self, begin: int, end: int, whole: int) -> list[Run]:
         """From `begin` to `end` of `whole` parts of all points' samples; from 0 at least one each."""
         firsts = np.flatnonzero(np.diff(self.counts, prepend=-1)).tolist()

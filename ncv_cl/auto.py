@@ -12,6 +12,8 @@ from .probe import cached_probe
 
 # Samples a point of the first pass, on which the choice rests; they stay in the image.
 FIRST_SAMPLES = 16
+# The same of nested estimates, whose prediction goes by counts of rays and by seconds alone.
+NESTED_FIRST_SAMPLES = 4
 # Training in inference samples of the probe's network; then what folding, tabulating, integrating and
 # resolving take at a point (PoCL 3.1, 96 x 96 to 512 x 512 points).
 FIXED_INFERENCE_SAMPLES = 1.75e7
@@ -23,6 +25,9 @@ SAMPLE_INFERENCE = 0.8
 # By how much the variance falls where all points are alike, as for the shipped scenes' ambient
 # occlusion; allocation brings the rest. All were set on the scenes that bench_curves.py reports.
 DENSITY_GAIN = 1.6
+# Allocation brings no more than this, however few points are seen to differ: 4 for the Cornell box, 2.5
+# for others, and two estimates of some points are a coarse look at a rare thing.
+LARGEST_ALLOCATION_GAIN = 4.0
 # Shadows of so many triangles are learned half as well: seen 1.5 to 2.2 for the Cornell box's direct
 # light (4 occluders where the error is), 0.7 to 0.8 and 0.3 to 0.5 for occluders and knot (27 to 56).
 HALVING_OCCLUDERS = 24.0
@@ -138,7 +143,8 @@ def predict(
     inference = 1e-9 * cached_probe(device).nanoseconds
     if nested_rays is None:
         learned = DENSITY_GAIN / (1.0 + occluders / HALVING_OCCLUDERS)
-        gain, cost, exponent = learned / max(concentration, 1e-3), RAY_COST, VARIANCE_EXPONENT
+        gain = learned * min(1.0 / max(concentration, 1e-3), LARGEST_ALLOCATION_GAIN)
+        cost, exponent = RAY_COST, VARIANCE_EXPONENT
         once, margin = FIXED_INFERENCE_SAMPLES, MARGIN
     else:
         gain, cost, exponent = max(1.0, NESTED_GAIN * nested_rays), NESTED_RAY_COST, NESTED_EXPONENT

@@ -343,6 +343,11 @@ def _summary(stats: dict) -> str:
             f"{100 * skipped['dead_neurons']:.0f} % of neurons are zero in it; "
             f"{skipped.get('networks', 0)} networks of coefficient zero"
         )
+    if skipped.get("converged_points"):
+        lines.append(
+            f"         {skipped['converged_points']} points predicted to converge with the fewest, "
+            f"{skipped['converged_samples']} samples less than the average"
+        )
     if "residual_variance_ratio" in stats:
         lines.append(f"residual variance / plain variance {stats['residual_variance_ratio']:.4f}")
     if "mse" in stats:

@@ -10,14 +10,12 @@ import numpy as np
 
 from .allocate import Allocation, allocate
 from .choose import choose_device
-from .density import tabulate
 from .device import Device, HostArray
 from .encode import GridCube
 from .estimate import Estimate
 from .estimation import Estimation
 from .integrands import Integrand, IntegrandError
-from .learn import learn, learn_density
-from .network import FoldedNetwork
+from .learn import learn
 from .passes import pass_edges
 from .points import ROW, ROW_COUNT, ShadingPoints
 from .presets import PRESETS
@@ -27,7 +25,7 @@ from .sampler import sampler_defines, seed_words
 from .samples import Batch, Batches, ray_defines
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
-from .variate import ControlVariate, integrals_of
+from .variate import ControlVariate, control_variate
 from .warp import Warp
 
 # Samples a point on average in one call of the callable, about.
@@ -280,11 +278,5 @@ def _control_variate(
     learned = learn(device, cube, source, settings, ("position",), lambda _: None, watch, lambda: False)
     if learned.network is None:
         return None, learned.estimate, learned.statistics
-    folded = FoldedNetwork(device, learned.network, source.points)
-    predictor = table = None
-    if settings.uses_density or settings.allocates:
-        predictor = learn_density(device, source.points, folded, learned.trainer, None)
-        table = tabulate(device, predictor, learned.network, source.points)
-    integral = integrals_of(device, folded, source.points.active)
-    variate = ControlVariate(folded, integral, table, predictor)
+    variate = control_variate(device, source.points, settings, learned.network, watch, learned)
     return variate, learned.estimate, learned.statistics

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .auto import Prediction, predict, too_short
+from .auto import FIRST_SAMPLES, NESTED_FIRST_SAMPLES, Prediction, predict, too_short
 from .device import Device
 from .estimate import Estimator
 from .estimation import Estimation
@@ -16,6 +16,11 @@ from .sampler import Stream
 from .samples import SampleSource
 from .settings import RenderSettings, Stopwatch
 from .shaft import Occluders
+
+
+def first_samples(settings: RenderSettings) -> int:
+    """Samples a point of a first pass."""
+    return NESTED_FIRST_SAMPLES if settings.guides else FIRST_SAMPLES
 
 
 def predict_without(

@@ -11,38 +11,35 @@ from pathlib import Path
 import numpy as np
 
 from .allocate import Allocation, allocate
-from .alpha import scale
-from .auto import FIRST_SAMPLES, Prediction
+from .auto import Prediction
 from .checkpoint import Checkpoint
 from .choose import choose_device
-from .density import DensityNetwork, tabulate
+from .density import DensityNetwork
 from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
-from .estimate import Estimate, Estimator
+from .estimate import Estimate
 from .estimation import Estimation
-from .first_pass import predict_from_first_pass, predict_without
+from .first_pass import first_samples, predict_from_first_pass, predict_without
 from .guide import Guide
 from .image import Image, error_metrics
 from .integrands import INTEGRANDS, Integrand
-from .learn import Learned, learn, learn_alpha, learn_density
-from .network import FoldedNetwork, Network
-from .passes import Passes, Target, pass_edges
+from .learn import learn
+from .network import Network
+from .passes import pass_edges
 from .paths import sample_source
+from .pilot import allocate_by_pilot, draw_pilot
 from .points import ShadingPoints, find_points
 from .presets import PRESETS
 from .report import identity, metadata, seconds_of, skips, statistics
 from .resolve import resolve_image
-from .sampler import Stream
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
 from .shaft import Occluders
 from .trace import Tracer
-from .variate import ControlVariate, idle, integrals_of
+from .variate import ControlVariate, control_variate, idle
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 RESIDUAL_PASS = 128
-# Plain Monte Carlo that allocates: samples a point that it first learns the points' variances from.
-PILOT_SAMPLES = 64
 
 
 def render(
@@ -277,16 +274,18 @@ class _Rendering:
         if points.active and self._wants_network(network):
             variate = self._control_variate(network, density, save_network)
         asked = self.prediction is not None and self.prediction.first_pass
+        allocation = None
         if variate is not None or begun is None:
-            first_pass = FIRST_SAMPLES if asked and variate is None else None
-            begun = self._begin(self._allocate(variate), variate, first_pass)
+            first_pass = first_samples(settings) if asked and variate is None else None
+            allocation = self._allocate(variate)
+            begun = self._begin(allocation, variate, first_pass)
         first = 1 if asked and variate is None else 0
         if resumed is not None:
             first = resumed.passes
             begun.restore(resumed.states, resumed.parts, first)
         self._draw(begun, variate, first)
         integral, used = (variate.integral, variate.folded.network) if variate else (None, None)
-        skipped = self._skipped(variate)
+        skipped = self._skipped(variate, allocation)
         # Of many points, folded weights and densities are most of the memory, and no longer needed.
         del variate
         plain, residual = begun.end()
@@ -331,11 +330,17 @@ class _Rendering:
         drawn = (plain, self.before) if self.points.active else (None, None)
         image.metadata = metadata(self.scene, self.settings, self.device, *drawn)
 
-    def _skipped(self, variate: ControlVariate | None) -> dict[str, object]:
+    def _skipped(
+        self, variate: ControlVariate | None, allocation: Allocation | None
+    ) -> dict[str, object]:
         """What the scene did not need."""
         inputs = self.settings.integrand.inputs
         found = skips(self.points, self.source.rays, inputs, varying_inputs(self.points, inputs))
-        return found | (idle(variate, self.points.active) if variate is not None else {})
+        if variate is not None:
+            found |= idle(variate, self.points.active)
+        if allocation is not None and self.settings.allocation != "uniform":
+            found |= allocation.converged()
+        return found
 
     # ---- the control variate -------------------------------------------------------------------------
 
@@ -375,36 +380,22 @@ class _Rendering:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
             return None
-        with self.watch("fold"):
-            factor = self._factor(network.description.demodulated)
-            folded = FoldedNetwork(device, network, self.points, factor)
-        alpha = self._coefficients(folded, learned)
-        table = None
-        if settings.uses_density or settings.allocates:
-            with self.watch("density"):
-                unit = self._unit()
-                if learned is not None:
-                    density = learn_density(device, self.points, folded, learned.trainer, unit)
-                if density is not None:
-                    table = tabulate(device, density, network, self.points, unit)
+        variate = control_variate(
+            device,
+            self.points,
+            settings,
+            network,
+            self.watch,
+            learned,
+            density,
+            self.keep.resumed.alpha if self.keep.resumed is not None else None,
+            settings.size[0] * settings.supersample,
+            self._factor(network.description.demodulated),
+            self._unit(),
+        )
         if save_network is not None:
-            network.save(save_network, **(density.arrays() if density is not None else {}))
-        with self.watch("integrate"):
-            integral = integrals_of(device, folded, self.points.active)
-        return ControlVariate(folded, integral, table, density, alpha)
-
-    def _coefficients(self, folded: FoldedNetwork, learned: Learned | None) -> np.ndarray | None:
-        """Scale the network by its control coefficients where they are known, and return them."""
-        settings = self.settings
-        with self.watch("alpha"):
-            if learned is not None:
-                columns = settings.size[0] * settings.supersample
-                alpha = learn_alpha(self.points, folded, learned.trainer, columns)
-            else:
-                alpha = self.keep.resumed.alpha if self.keep.resumed is not None else None
-            if alpha is not None:
-                scale(folded, alpha)
-        return alpha
+            network.save(save_network, **(variate.learned.arrays() if variate.learned else {}))
+        return variate
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
@@ -412,7 +403,8 @@ class _Rendering:
 
     def _unit(self) -> np.ndarray | None:
         """Each point's scale of residuals: its unshadowed mean over the channels, if it is known."""
-        if not self.settings.integrand.demodulated:
+        settings = self.settings
+        if not settings.integrand.demodulated or not (settings.uses_density or settings.allocates):
             return None
         return self._unshadowed_means.read().mean(axis=0)
 
@@ -425,26 +417,13 @@ class _Rendering:
     def _allocate(self, variate: ControlVariate | None) -> Allocation:
         """How many samples each point gets."""
         settings = self.settings
-        everything = Allocation.uniform(np.arange(self.points.active, dtype=np.uint32), settings.spp)
         if variate is not None and variate.density is not None and settings.allocates:
             return Allocation.of_counts(allocate(variate.density.magnitude, settings.spp))
         if settings.allocation != "pilot" or not self.points.active:
-            return everything
-        pilot = max(1, min(PILOT_SAMPLES, settings.spp // 4))
+            return Allocation.uniform(np.arange(self.points.active, dtype=np.uint32), settings.spp)
         if self.before is None:
-            self.before = self._pilot(Allocation.uniform(everything.chosen, pilot))
-        # What the pilot did not see may still be there: no point is left to much fewer samples.
-        fewest = 1 << (pilot.bit_length() - 1)
-        deviation = np.sqrt(self.before.variance.sum(axis=0))
-        return Allocation.of_counts(allocate(deviation, max(1, settings.spp - pilot), fewest))
-
-    def _pilot(self, allocation: Allocation) -> Estimate:
-        """Of f, from samples that the passes do not draw again."""
-        estimator = Estimator(self.device, self.points, self.settings.integrand.channels)
-        targets = [Target(estimator, allocation, Stream.TRAINING)]
-        edges = [0, int(allocation.counts[0])]
-        Passes(self.device, self.source, targets, edges, None, self.watch).run("pilot")
-        return estimator.result()
+            self.before = draw_pilot(self.device, self.source, settings, self.watch)
+        return allocate_by_pilot(self.before, settings.spp)
 
     def _begin(
         self,
@@ -462,7 +441,8 @@ class _Rendering:
     def _begin_plain(self) -> Estimation:
         """The first pass of plain Monte Carlo, and from it what is to be expected."""
         everything = np.arange(self.points.active, dtype=np.uint32)
-        estimation = self._begin(Allocation.uniform(everything, self.settings.spp), None, FIRST_SAMPLES)
+        allocation = Allocation.uniform(everything, self.settings.spp)
+        estimation = self._begin(allocation, None, first_samples(self.settings))
         self.prediction = predict_from_first_pass(
             self.device, self.source, self.settings, estimation, self.watch, self.progress
         )

@@ -1,4 +1,4 @@
-"""The control variate of all points: folded, integrated, and with the density of its residual."""
+"""The control variate of all points: folded, scaled, integrated, with the density of its residual."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .density import Density, DensityNetwork
+from .alpha import scale
+from .density import Density, DensityNetwork, tabulate
 from .device import Device, HostArray
 from .integrator import Integrator
-from .network import FoldedNetwork
+from .learn import Learned, learn_alpha, learn_density
+from .network import FoldedNetwork, Network
+from .points import ShadingPoints
+from .settings import RenderSettings, Stopwatch
 
 # Points whose neurons the statistics look at.
 POINTS_LOOKED_AT = 4096
@@ -38,6 +42,53 @@ class ControlVariate:
     density: Density | None
     learned: DensityNetwork | None
     alpha: np.ndarray | None = None
+
+
+def control_variate(
+    device: Device,
+    points: ShadingPoints,
+    settings: RenderSettings,
+    network: Network,
+    watch: Stopwatch,
+    learned: Learned | None = None,
+    density: DensityNetwork | None = None,
+    alpha: np.ndarray | None = None,
+    columns: int | None = None,
+    factor: HostArray | None = None,
+    unit: np.ndarray | None = None,
+) -> ControlVariate:
+    """Make a control variate of a trained network.
+
+    Parameters
+    ----------
+    learned : Learned, optional
+        What training left, from which coefficients and density are learned.
+    density, alpha : optional
+        Those of a network that was trained before.
+    columns : int, optional
+        Sub-pixels of a row of the image; without an image there are no coefficients to learn.
+    factor : HostArray, optional
+        As `FoldedNetwork` takes it.
+    unit : ndarray, optional
+        As `tabulate` takes it.
+    """
+    with watch("fold"):
+        folded = FoldedNetwork(device, network, points, factor)
+    with watch("alpha"):
+        if learned is not None and columns is not None:
+            alpha = learn_alpha(points, folded, learned.trainer, columns)
+        if alpha is not None:
+            scale(folded, alpha)
+    table = None
+    if settings.uses_density or settings.allocates:
+        with watch("density"):
+            if learned is not None:
+                density = learn_density(device, points, folded, learned.trainer, unit)
+            if density is not None:
+                table = tabulate(device, density, network, points, unit)
+    with watch("integrate"):
+        integral = integrals_of(device, folded, points.active)
+    return ControlVariate(folded, integral, table, density, alpha)
 
 
 def idle(variate: ControlVariate, points: int) -> dict[str, object]:

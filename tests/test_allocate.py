@@ -74,3 +74,14 @@ def test_a_restricted_allocation_keeps_its_points_numbers():
     part = Allocation.of_counts(counts).restricted(some, 50)
     assert sorted(part.chosen) == [3, 17, 44]
     np.testing.assert_array_equal(part.counts, counts[part.chosen])
+
+
+def test_points_that_converge_early_are_counted():
+    allocation = Allocation.of_counts(np.array([4, 64, 4, 24]))
+    # Two points have 20 less than the average of 24 each.
+    assert allocation.converged() == {"converged_points": 2, "converged_samples": 40}
+
+
+def test_where_all_get_alike_nothing_has_converged():
+    allocation = Allocation.uniform(np.arange(5, dtype=np.uint32), 16)
+    assert allocation.converged() == {"converged_points": 0, "converged_samples": 0}

@@ -60,6 +60,10 @@ def test_shadows_of_many_triangles_gain_less(fast_probe):
     assert many.variance_gain == pytest.approx(few.variance_gain / 2)
 
 
+def test_a_few_points_that_differ_promise_no_more_than_was_ever_gained(fast_probe):
+    assert prediction(0.001).variance_gain == auto.DENSITY_GAIN * auto.LARGEST_ALLOCATION_GAIN
+
+
 @pytest.mark.parametrize(
     ("share", "spp", "method"),
     [(0.25, 65536, "ncv"), (0.25, 64, "mc"), (0.0, 65536, "mc")],

@@ -95,3 +95,4 @@ def test_statistics_say_what_was_skipped(one_device, scenes):
     assert skipped["ray_seconds"] > 0 and skipped["inputs"] == []
     assert 0 < skipped["dead_neurons"] <= skipped["lines"] < 1
     assert 0 <= skipped["networks"] < points
+    assert 0 < skipped["converged_points"] < points and skipped["converged_samples"] > 0

@@ -52,11 +52,13 @@ def label(case: dict) -> str:
 
 def _error(data: dict, cases: list[dict], folder: Path, command: str) -> Section:
     section = Section("Error against time and samples")
+    short = data.get("short_repeats", 0)
+    more = f" ({short} of those shorter than a second)" if short > data["repeats"] else ""
     section.blocks.append(
         Paragraph(
-            f"{data['size']} × {data['size']} points, medians of {data['repeats']} interleaved runs; "
-            "shaded from the least to the largest. Seconds are total: training is in them, the "
-            "compilation of kernels is not. The reference's own variance is subtracted from errors."
+            f"{data['size']} × {data['size']} points, medians of {data['repeats']} runs{more}, "
+            "interleaved; shaded from the least to the largest. Seconds are total: training is in them, "
+            "the compilation of kernels is not. The reference's own variance is subtracted from errors."
         )
     )
     for case in data["cases"]:

@@ -38,6 +38,8 @@ PARTS = {
     for part in (
         Part("curves", "bench_curves.py", "Whole renders",
              "error against time of every method, the crossovers, auto, the slides' table"),
+        Part("equal", "bench_equal.py", "Seconds to equal error",
+             "the control variate against independent, Sobol and pilot-allocated Monte Carlo"),
         Part("pictures", "bench_pictures.py", "Pictures at equal time",
              "picture strips, error maps and FLIP at equal time"),
         Part("planar", "bench_planar.py", "The slides' two-dimensional experiments, with peers",

@@ -1,0 +1,143 @@
+"""Seconds to equal error, all in: the control variate against Monte Carlo of three kinds.
+
+To the error that Sobol Monte Carlo has at some numbers of samples, what every rival needs over what the
+control variate needs: independent samples (their error is exactly the variance over the number, so one
+short render tells), Sobol points, and Sobol points with samples allocated by a pilot; and `auto`.
+
+Mean square errors are halved squared differences of two renders with different seeds: no reference is
+needed, and none can be the worse of the two. Seconds are the lesser of the two renders'. Before anything
+is timed, plain Monte Carlo and the control variate are tested to agree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from bench_curves import AUTO, DEFAULT, INDEPENDENT, METHODS, PILOT, SOBOL, stages
+from crossover import Curve
+from training import CASES, SCENES
+
+import ncv_cl as ncv
+from ncv_cl.choose import choose_device
+from ncv_cl.device import Device
+
+# Samples of the short render with independent samples, and of those that must agree.
+FEW = 64
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points a side; samples of Sobol Monte Carlo whose errors are aimed at; the control variate's."""
+
+    size: int
+    targets: tuple[int, ...]
+    ours: tuple[int, ...]
+
+
+FULL = Plan(512, (128, 256, 1024), (16, 64, 256, 1024))
+QUICK = Plan(64, (32, 128), (8, 32, 128))
+
+
+def measure(device: Device, scene_name: str, integrand: str, plan: Plan) -> dict:
+    """All curves of one case, and the table made of them."""
+    scene = ncv.load_scene(SCENES / f"{scene_name}.toml")
+    size = (plan.size, plan.size)
+
+    def render(method: str, spp: int, seed: int) -> ncv.Image:
+        return ncv.render(
+            scene, integrand, spp=spp, size=size, seed=seed, device=device, **METHODS[method]
+        )
+
+    def point(method: str, spp: int) -> dict:
+        first, second = (render(method, spp, seed) for seed in (1, 2))
+        shorter = min(first, second, key=lambda image: image.stats["seconds"]["total"])
+        difference = first.pixels.astype(float) - second.pixels
+        return {
+            "spp": spp,
+            "seconds": shorter.stats["seconds"]["total"],
+            "mse": float(np.mean(difference**2)) / 2,
+            "method": shorter.stats["method"],
+            "stages": stages(shorter.stats["seconds"]),
+        }
+
+    validate(*(render(method, FEW, seed) for seed, method in enumerate((SOBOL, DEFAULT), 3)))
+    spps = {INDEPENDENT: (FEW,), DEFAULT: plan.ours}
+    points = {
+        name: [point(name, spp) for spp in spps.get(name, plan.targets)]
+        for name in (INDEPENDENT, SOBOL, PILOT, DEFAULT, AUTO)
+    }
+    curves = {name: Curve.of(rows) for name, rows in points.items()}
+    rows = [ratios(target, points, curves) for target in plan.targets]
+    return {"scene": scene_name, "integrand": integrand, "rows": rows, "points": points}
+
+
+def validate(plain: ncv.Image, ours: ncv.Image) -> None:
+    """Means over the image agree, or nothing is timed."""
+    difference = (plain.pixels.astype(float) - ours.pixels).mean(axis=(0, 1))
+    pixels = plain.pixels.shape[0] * plain.pixels.shape[1]
+    deviation = np.sqrt((plain.variance + ours.variance).mean(axis=(0, 1)) / pixels)
+    if (np.abs(difference) > 6 * deviation + 3e-6 * plain.pixels.mean()).any():
+        raise SystemExit(f"mc and ncv disagree by {difference / deviation} deviations")
+
+
+def ratios(target: int, points: dict[str, list[dict]], curves: dict[str, Curve]) -> dict:
+    """Seconds of each rival to the error of `target` Sobol samples, over the control variate's."""
+    (sobol,) = (row for row in points[SOBOL] if row["spp"] == target)
+    ours = float(curves[DEFAULT].seconds_to(sobol["mse"])[0])
+    (few,) = points[INDEPENDENT]
+    (auto,) = (row for row in points[AUTO] if row["spp"] == target)
+    return {
+        "samples of MC, Sobol": target,
+        "mse": sobol["mse"],
+        "seconds of NCV": ours,
+        f"{INDEPENDENT} / NCV": few["seconds"] * few["mse"] / sobol["mse"] / ours,
+        f"{SOBOL} / NCV": sobol["seconds"] / ours,
+        f"{PILOT} / NCV": float(curves[PILOT].seconds_to(sobol["mse"])[0]) / ours,
+        f"{SOBOL} / auto": float(curves[SOBOL].seconds_to(auto["mse"])[0]) / auto["seconds"],
+        "auto chose": auto["method"],
+    }
+
+
+def findings(cases: list[dict]) -> list[str]:
+    """A sentence a case, of the smallest error."""
+    texts = []
+    for case in cases:
+        row = case["rows"][-1]
+        name, samples = f"{case['scene']} {case['integrand']}", row["samples of MC, Sobol"]
+        others = ", ".join(
+            f"{method} {row[f'{method} / NCV']:.3g}" for method in (SOBOL, PILOT, INDEPENDENT)
+        )
+        texts.append(
+            f"{name}: to the error of {samples} Sobol samples the control variate takes "
+            f"{row['seconds of NCV']:.3g} s, and of its seconds others take: {others}."
+        )
+    return texts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small images and few samples")
+    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args()
+    device, plan = choose_device(options.device), QUICK if options.quick else FULL
+    print(f"{device.identity}\n{plan.size} x {plan.size} points", flush=True)
+    cases = []
+    for scene, integrand in CASES:
+        cases.append(measure(device, scene, integrand, plan))
+        print(f"{scene} {integrand}")
+        for row in cases[-1]["rows"]:
+            cells = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
+            print("  " + ", ".join(cells), flush=True)
+    if options.json:
+        results = {"device": device.identity, "size": plan.size, "cases": cases}
+        results["findings"] = findings(cases)
+        Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

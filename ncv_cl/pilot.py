@@ -1,0 +1,41 @@
+"""Plain Monte Carlo that spends samples by what a pilot of them says of each point's variance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .allocate import Allocation, allocate
+from .device import Device
+from .estimate import Estimate, Estimator
+from .passes import Passes, Target
+from .sampler import Stream
+from .samples import Batches
+from .settings import RenderSettings, Stopwatch
+
+# Samples a point that the points' variances are learned from, at most, and as a part of all.
+PILOT_SAMPLES = 64
+PILOT_SHARE = 1 / 4
+
+
+def pilot_samples(spp: int) -> int:
+    """Samples a point of the pilot of `spp` in all."""
+    return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
+
+
+def draw_pilot(device: Device, source: Batches, settings: RenderSettings, watch: Stopwatch) -> Estimate:
+    """Of f, from samples that the passes do not draw again."""
+    points, samples = source.points, pilot_samples(settings.spp)
+    estimator = Estimator(device, points, settings.integrand.channels)
+    everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
+    targets = [Target(estimator, everything, Stream.TRAINING)]
+    Passes(device, source, targets, [0, samples], None, watch).run("pilot")
+    return estimator.result()
+
+
+def allocate_by_pilot(pilot: Estimate, spp: int) -> Allocation:
+    """What is left of `spp` samples a point, by the deviations that `pilot` saw."""
+    samples = pilot_samples(spp)
+    # What the pilot did not see may still be there: no point is left to much fewer samples.
+    fewest = 1 << (samples.bit_length() - 1)
+    deviation = np.sqrt(pilot.variance.sum(axis=0))
+    return Allocation.of_counts(allocate(deviation, max(1, spp - samples), fewest))
