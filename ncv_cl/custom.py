@@ -224,7 +224,7 @@ def estimate(
     else:
         chosen = Allocation.uniform(np.arange(points, dtype=np.uint32), spp)
     folded, table = (variate.folded, variate.density) if variate else (None, None)
-    edges = pass_edges(spp, SAMPLES_A_PASS, SAMPLES_A_PASS)
+    edges = pass_edges(spp, SAMPLES_A_PASS)
     estimation = Estimation(device, source, settings, chosen, edges, folded, table, watch)
     estimation.passes.run("estimate")
     results = estimation.results()

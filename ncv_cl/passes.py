@@ -25,17 +25,22 @@ class Target(NamedTuple):
     stream: Stream
 
 
-def pass_edges(samples: int, samples_a_pass: int, first_pass: int) -> list[int]:
-    """Where passes begin and end, in samples a point: one of its own length, the others alike.
+def pass_edges(samples: int, samples_a_pass: int, first_pass: int | None = None) -> list[int]:
+    """Where passes begin and end, in samples a point: all of one length, but for the last.
 
     There are two at least, where there are samples for it: by how far they differ the error is known.
+
+    Parameters
+    ----------
+    first_pass : int, optional
+        Cuts so many off the first one, and leaves the others where they are.
     """
-    first = min(first_pass, samples)
-    rest = samples - first
-    others = max(1, round(rest / samples_a_pass)) if rest else 0
-    if not rest and samples > 1:
-        return [0, samples // 2, samples]
-    return [0, *(first + rest * k // others for k in range(others)), samples]
+    edges = [*range(0, samples, samples_a_pass), samples]
+    if len(edges) > 2 and edges[-1] - edges[-2] < samples_a_pass / 2:
+        del edges[-2]
+    if first_pass is not None and first_pass < edges[1]:
+        edges.insert(1, first_pass)
+    return edges if len(edges) > 2 or samples == 1 else [0, samples // 2, samples]
 
 
 class Passes:

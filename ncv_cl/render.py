@@ -432,7 +432,7 @@ class _Rendering:
         first_pass: int | None = None,
     ) -> Estimation:
         settings = self.settings
-        edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass or RESIDUAL_PASS)
+        edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass)
         folded, density = (variate.folded, variate.density) if variate else (None, None)
         return Estimation(
             self.device, self.source, settings, allocation, edges, folded, density, self.watch
