@@ -51,6 +51,7 @@ LEFT_OUT = {
     "methods of the planar experiments",
 }
 VALIDATION_SPP = 64
+# Renders shorter than this are repeated more often.
 SHORT_SECONDS = 1.0
 # Where `auto` is held against the better of the other two.
 FEWEST_FOR_AUTO = 16

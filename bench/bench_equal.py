@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from bench_curves import AUTO, DEFAULT, INDEPENDENT, METHODS, PILOT, SOBOL, stages
 from crossover import Curve
+from references import z_test
 from training import CASES, SCENES
 
 import ncv_cl as ncv
@@ -64,7 +65,10 @@ def measure(device: Device, scene_name: str, integrand: str, plan: Plan) -> dict
             "stages": stages(shorter.stats["seconds"]),
         }
 
-    validate(*(render(method, FEW, seed) for seed, method in enumerate((SOBOL, DEFAULT), 3)))
+    plain, ours = (render(method, FEW, seed) for seed, method in enumerate((SOBOL, DEFAULT), 3))
+    z, agree = z_test(plain.pixels, ours.pixels)
+    if not agree:
+        raise SystemExit(f"{scene_name} {integrand}: mc and ncv disagree by {z:.1f} deviations")
     spps = {INDEPENDENT: (FEW,), DEFAULT: plan.ours}
     points = {
         name: [point(name, spp) for spp in spps.get(name, plan.targets)]
@@ -73,15 +77,6 @@ def measure(device: Device, scene_name: str, integrand: str, plan: Plan) -> dict
     curves = {name: Curve.of(rows) for name, rows in points.items()}
     rows = [ratios(target, points, curves) for target in plan.targets]
     return {"scene": scene_name, "integrand": integrand, "rows": rows, "points": points}
-
-
-def validate(plain: ncv.Image, ours: ncv.Image) -> None:
-    """Means over the image agree, or nothing is timed."""
-    difference = (plain.pixels.astype(float) - ours.pixels).mean(axis=(0, 1))
-    pixels = plain.pixels.shape[0] * plain.pixels.shape[1]
-    deviation = np.sqrt((plain.variance + ours.variance).mean(axis=(0, 1)) / pixels)
-    if (np.abs(difference) > 6 * deviation + 3e-6 * plain.pixels.mean()).any():
-        raise SystemExit(f"mc and ncv disagree by {difference / deviation} deviations")
 
 
 def ratios(target: int, points: dict[str, list[dict]], curves: dict[str, Curve]) -> dict:

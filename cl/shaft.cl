@@ -17,7 +17,7 @@
  * Memory layout: `boxes`: planes of box_stride floats: lower x, y, z, upper x, y, z; the boxes of triangles, then
  * those of these boxes, then those of these (first_1, first_2). Box k of a level holds number k * BRANCH and on
  * of the level below. `corners`: planes of corner_stride floats, x, y, z of each triangle's corner 0, then 1,
- * then 2. `occluders`: OCCLUDER_WORDS words a point: how many (TOO_MANY: not known), and which.
+ * then 2. `occluders`: OCCLUDER_WORDS words a point: how many (TOO_MANY: not known), and which; `lengths`: how many.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_occluders is one work-item a
  * point.
@@ -137,7 +137,8 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
                            const uint count_0, const uint first_1, const uint count_1, const uint first_2,
                            const uint count_2, global const float *restrict surface,
                            global const float *restrict lights, global const float *restrict boxes,
-                           global const float *restrict corners, global uint *restrict occluders) {
+                           global const float *restrict corners, global uint *restrict occluders,
+                           global uint *restrict lengths) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
@@ -168,7 +169,7 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
       }
     }
   }
-  own[0] = count;
+  own[0] = lengths[point] = count;
 }
 
 /* a x b, exactly the negative of b x a: no product may be fused into the difference. */

@@ -14,10 +14,9 @@
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
-#if DENSITY_BINS != 8
+#if DENSITY_BINS != 8 || EDGE_UNITS != 256
 #error "a row's edges are seven bytes"
 #endif
-#define EDGE_UNITS 256
 #define DENSITY_ROWS (DENSITY_BINS + 1)
 #define DENSITY_WORDS (2 * DENSITY_ROWS)
 /* Records are those of all points. */

@@ -15,7 +15,7 @@ from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription
 from .points import ShadingPoints
 from .program import Program, build
 from .train import TrainingSamples
-from .warp import DENSITY_BINS, DENSITY_WORDS
+from .warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
 GROUPS = 16
@@ -68,7 +68,7 @@ class DensitySettings:
         return {
             **description.defines(),
             "FITTING": 0,
-            "DENSITY_BINS": DENSITY_BINS,
+            **warp_defines(),
             "DENSITY_HIDDEN": self.hidden,
             "DENSITY_PARAMETERS": f"{count}u",
             "UNIFORM_SHARE": f"{self.uniform_share!r}f",

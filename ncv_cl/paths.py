@@ -16,7 +16,7 @@ from .sampler import sampler_defines
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .scene import Scene
 from .trace import Hits, Tracer
-from .warp import DENSITY_BINS, Warp
+from .warp import Warp, warp_defines
 
 # A depth that no path reaches.
 UNLIMITED = 1 << 30
@@ -131,7 +131,7 @@ class PathSource(SampleSource):
             "COUNT_STEP": f"{COUNT_STEP}u",
             "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
             **ray_defines(),
-            "DENSITY_BINS": DENSITY_BINS,
+            **warp_defines(),
             **guide_defines(),
         }
         self._choose_program()

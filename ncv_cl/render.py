@@ -338,7 +338,7 @@ class _Rendering:
         found = skips(self.points, self.source.rays, inputs, varying_inputs(self.points, inputs))
         if variate is not None:
             found |= idle(variate, self.points.active)
-        if allocation is not None and self.settings.allocation != "uniform":
+        if allocation is not None:
             found |= allocation.converged()
         return found
 
@@ -380,7 +380,7 @@ class _Rendering:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
             return None
-        variate = control_variate(
+        return control_variate(
             device,
             self.points,
             settings,
@@ -392,10 +392,8 @@ class _Rendering:
             settings.size[0] * settings.supersample,
             self._factor(network.description.demodulated),
             self._unit(),
+            save_network,
         )
-        if save_network is not None:
-            network.save(save_network, **(variate.learned.arrays() if variate.learned else {}))
-        return variate
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 
 from .device import Device, HostArray
@@ -58,6 +56,8 @@ class Occluders:
         fitting = (n for n in MOST_OCCLUDERS if 4 * (n + 1) * points.active <= LIST_BYTES)
         self._most = next(fitting, MOST_OCCLUDERS[-1])
         self.lists = HostArray(device, (points.active, self._most + 1), np.uint32)
+        # The same numbers as at the lists' heads: the host wants these without the lists.
+        lengths = HostArray(device, points.active, np.uint32)
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
         build(device, ("common", "surface", "shaft"), defines).kernel("find_occluders")(
             points.active,
@@ -77,22 +77,18 @@ class Occluders:
             boxes,
             self.corners,
             self.lists,
+            lengths,
         )
-        device.queue.finish()
-
-    @functools.cached_property
-    def _counts(self) -> np.ndarray:
-        with self.lists.mapped() as lists:
-            return lists[:, 0].copy()
+        self._lengths = lengths.read()
 
     @property
     def unknown(self) -> int:
         """Points that have too many to be listed, whose rays are traced."""
-        return int(np.count_nonzero(self._counts == TOO_MANY))
+        return int(np.count_nonzero(self._lengths == TOO_MANY))
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
         """How many triangles can shade each of the points `chosen`; too many count as twice the most."""
-        return np.minimum(self._counts[chosen], 2 * self._most)
+        return np.minimum(self._lengths[chosen], 2 * self._most)
 
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of shaft.cl, beside those of surface.cl and the integrand."""

@@ -12,7 +12,7 @@ from .density import Density
 from .device import Device, HostArray
 from .network import FoldedNetwork, NetworkError
 from .program import build
-from .warp import DENSITY_BINS, Warp
+from .warp import Warp, warp_defines
 
 # Records held at a time; batches of samples are cut to points that fit.
 RECORD_BYTES = 64 << 20
@@ -100,7 +100,7 @@ class TriangleWarp(Warp):
         self._defines = {
             **self.defines,
             **{f"STRIDE_{group}": f"{floats}ul" for group, floats in strides.items()},
-            "DENSITY_BINS": DENSITY_BINS,
+            **warp_defines(),
             "DOUBLE": 0,
             "HIDDEN": 0,
             "SPACE": "__global",

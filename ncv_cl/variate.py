@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -56,6 +57,7 @@ def control_variate(
     columns: int | None = None,
     factor: HostArray | None = None,
     unit: np.ndarray | None = None,
+    save: str | Path | None = None,
 ) -> ControlVariate:
     """Make a control variate of a trained network.
 
@@ -71,6 +73,8 @@ def control_variate(
         As `FoldedNetwork` takes it.
     unit : ndarray, optional
         As `tabulate` takes it.
+    save : str or Path, optional
+        Where network and density are kept, before anything else can fail.
     """
     with watch("fold"):
         folded = FoldedNetwork(device, network, points, factor)
@@ -86,6 +90,8 @@ def control_variate(
                 density = learn_density(device, points, folded, learned.trainer, unit)
             if density is not None:
                 table = tabulate(device, density, network, points, unit)
+    if save is not None:
+        network.save(save, **(density.arrays() if density is not None else {}))
     with watch("integrate"):
         integral = integrals_of(device, folded, points.active)
     return ControlVariate(folded, integral, table, density, alpha)

@@ -17,6 +17,11 @@ DENSITY_WORDS = 2 * (DENSITY_BINS + 1)
 EDGE_UNITS = 256
 
 
+def warp_defines() -> dict[str, int | str]:
+    """The `-D` constants of warp.cl."""
+    return {"DENSITY_BINS": DENSITY_BINS, "EDGE_UNITS": EDGE_UNITS}
+
+
 class Warp:
     """A density that samples are drawn by.
 
@@ -51,7 +56,7 @@ class TableWarp(Warp):
 
     table: HostArray
     files: ClassVar[tuple[str, ...]] = ("warp",)
-    defines: ClassVar[dict[str, int | str]] = {"DENSITY_BINS": DENSITY_BINS}
+    defines: ClassVar[dict[str, int | str]] = warp_defines()
 
     def records(self, order: HostArray, points: range) -> HostArray:
         return self.table
@@ -77,14 +82,3 @@ def pack_records(probability: np.ndarray) -> np.ndarray:
         before = np.minimum(np.maximum(edges[..., number], before + 1), last)
         words[..., number // 4] |= before.astype(np.uint32) << np.uint32(8 * (number % 4))
     return words.reshape(-1, DENSITY_WORDS)
-
-
-def unpack_records(records: np.ndarray) -> np.ndarray:
-    """Cells' probabilities that records of warp.cl stand for, float64 (records, DENSITY_BINS²)."""
-    rows = np.ascontiguousarray(records, np.uint32).reshape(-1, DENSITY_BINS + 1, 2)
-    shifts = np.arange(0, 32, 8, dtype=np.uint32)
-    inner = ((rows[..., None] >> shifts) & np.uint32(255)).reshape(*rows.shape[:2], 8)
-    ends = np.zeros((*rows.shape[:2], DENSITY_BINS + 1))
-    ends[..., 1:-1], ends[..., -1] = inner[..., : DENSITY_BINS - 1], EDGE_UNITS
-    share = np.diff(ends, axis=2) / EDGE_UNITS
-    return (share[:, 0, :, None] * share[:, 1:]).reshape(-1, DENSITY_BINS**2)

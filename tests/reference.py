@@ -17,6 +17,7 @@ from ncv_cl.samples import SEEN, Batch, SampleSource
 from ncv_cl.scene import Camera, Material, QuadLight, Scene
 from ncv_cl.shaft import Occluders
 from ncv_cl.trace import Hits, Tracer
+from ncv_cl.warp import DENSITY_BINS, EDGE_UNITS
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -332,3 +333,17 @@ def bare_kernel(device: Device, files: tuple[str, ...], defines: dict, text: str
     options = [*option_list({**device_defines(device), **defines}), "-cl-kernel-arg-info"]
     program = cl.Program(device.context, f'{source(files)}\n#line 1 "test"\n{text}').build(options)
     return Kernel(device, cl.Kernel(program, name))
+
+
+# ------------------------------------------------------------------------------------------- warp
+
+
+def unpack_records(records: np.ndarray) -> np.ndarray:
+    """Cells' probabilities that records of warp.cl stand for, float64 (records, DENSITY_BINS²)."""
+    rows = np.ascontiguousarray(records, np.uint32).reshape(-1, DENSITY_BINS + 1, 2)
+    shifts = np.arange(0, 32, 8, dtype=np.uint32)
+    inner = ((rows[..., None] >> shifts) & np.uint32(255)).reshape(*rows.shape[:2], 8)
+    ends = np.zeros((*rows.shape[:2], DENSITY_BINS + 1))
+    ends[..., 1:-1], ends[..., -1] = inner[..., : DENSITY_BINS - 1], EDGE_UNITS
+    share = np.diff(ends, axis=2) / EDGE_UNITS
+    return (share[:, 0, :, None] * share[:, 1:]).reshape(-1, DENSITY_BINS**2)

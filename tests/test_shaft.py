@@ -72,6 +72,10 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     scene = soup(300)
     points, source, _ = sampling(device, scene, DirectLight(), (8, 6), 32, with_occluders=True)
     lists = source.occluders.lists.read()
+    everyone = np.arange(len(lists))
+    assert source.occluders.unknown == np.count_nonzero(lists[:, 0] == shaft.TOO_MANY)
+    known = lists[:, 0] != shaft.TOO_MANY
+    np.testing.assert_array_equal(source.occluders.counts(everyone)[known], lists[known, 0])
     corners = source.occluders.corners.read()[:, : len(scene.triangles)]
     batch = source.draw(range(points.active), range(32), 0)
     uv = np.stack([a.read()[: points.active * 32].reshape(-1, 32) for a in (batch.u, batch.v)])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from reference import camera_at, light_at, mesh_scene, quad
+from reference import camera_at, light_at, mesh_scene, quad, unpack_records
 from scipy import stats
 from test_warp import BINS
 
@@ -21,7 +21,7 @@ from ncv_cl.sampler import Stream
 from ncv_cl.samples import SampleSource
 from ncv_cl.trace import Tracer
 from ncv_cl.triangulate import VERTEX_BITS, TriangleWarp
-from ncv_cl.warp import pack_records, unpack_records
+from ncv_cl.warp import pack_records
 
 SHARE = 0.1
 LINES = 16

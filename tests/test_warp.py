@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference import camera_at, light_at, mesh_scene, quad
+from reference import camera_at, light_at, mesh_scene, quad, unpack_records
 from scipy import stats
 
 from ncv_cl.device import HostArray
@@ -13,7 +13,7 @@ from ncv_cl.points import find_points
 from ncv_cl.sampler import Stream
 from ncv_cl.samples import SampleSource
 from ncv_cl.trace import Tracer
-from ncv_cl.warp import DENSITY_BINS, DENSITY_WORDS, EDGE_UNITS, TableWarp, pack_records, unpack_records
+from ncv_cl.warp import DENSITY_BINS, DENSITY_WORDS, EDGE_UNITS, TableWarp, pack_records
 
 BINS = DENSITY_BINS
 
