@@ -56,6 +56,8 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("direct light", "device_checks", "unshadowed_means_are_those_of_the_samples", {}),
     ("shadow rays", "test_shaft", "test_occluders_answer_as_embree_does",
      lambda tests: {"count": 40, "lights": tests.LIGHTS}),
+    ("shadow rays", "test_shadow", "test_rays_are_answered_as_in_double_precision",
+     {"place": 1e4, "scale": 1.0, "count": 20}),
     ("global illumination", "test_gi", "test_matte_scenes_match_an_independent_path_tracer",
      {"depth": 3, "lights": None}),
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),

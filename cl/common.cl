@@ -38,7 +38,7 @@ typedef JOIN(uint, VEC) bits;
 #define TO_BITS(x) JOIN(convert_uint, VEC)(x)
 #define TO_WHOLE(x) JOIN(convert_int, VEC)(x)
 #define SELECT(if_false, if_true, condition) select((if_false), (if_true), (condition))
-#define ANY(condition) any(condition)
+#define ANY(condition) any_lane(condition)
 #if VEC == 4
 #define LANE_NUMBER ((bits)(0, 1, 2, 3))
 #elif VEC == 8
@@ -52,6 +52,22 @@ typedef JOIN(uint, VEC) bits;
 #define FMA(a, b, c) fma(a, b, c)
 #else
 #define FMA(a, b, c) ((a) * (b) + (c))
+#endif
+
+#if VEC != 1
+/* Whether a comparison holds in some lane; halves are joined, as any() may test lane after lane. */
+bool any_lane(const whole condition) {
+#if VEC == 16
+  const int8 i8 = condition.lo | condition.hi;
+  const int4 i4 = i8.lo | i8.hi;
+#elif VEC == 8
+  const int4 i4 = condition.lo | condition.hi;
+#else
+  const int4 i4 = condition;
+#endif
+  const int2 i2 = i4.lo | i4.hi;
+  return (i2.x | i2.y) != 0;
+}
 #endif
 
 /* Sum over the VEC samples of a work-item, always in the same order. */

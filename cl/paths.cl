@@ -5,17 +5,13 @@
  *   add_lit       adds what shadow rays found visible
  *   finish_paths  direct light with its visibility, plus what the path brought: the samples' complete values
  *
- * A path is named by its sample's place in the batch (samples.cl), where `radiance` sums what it brings, a plane of
- * `capacity` floats a channel. Live paths are compacted: a `wave` holds what a bounce's rays, and the shadow rays from
- * where they start, are made of, and what they found: HEADER words, then planes of 32-bit words, ray i at i of each:
- *   0 origin (3), 3 direction (3) of the rays that go on, 6 origin (3), 9 direction (3) of shadow rays, as the host
- *   reads them; 12 triangle hit (int, -1: none), 13 and 14 barycentric u and v, 15 distance in multiples of the
- *   direction, 16 whether the shadow ray reached its light (bytes), as the host writes them; 17 throughput (3),
- *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path; 22 throughput (3) and
- *   25 path of shadow rays.
- * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
- * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs; a path
- * adds only to its own sum, one bounce after another, and random numbers follow from its name: so results do not.
+ * A path is named by its sample's place in the batch (samples.cl), where `radiance` sums what it brings:
+ * RADIANCE_FLOATS floats, the channels first. Live paths are compacted into waves (wave.cl). A path adds only to its
+ * own sum, one bounce after another, and random numbers follow from its name: so results do not depend on which ray
+ * of a wave it gets.
+ *
+ * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
+ * them; there is then nothing for add_lit.
  *
  * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the world's origin,
  * 4 offset of ray origins (negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
@@ -26,76 +22,9 @@
  * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
  */
 
-#if VEC == 1
-#define AS_REAL(x) as_float(x)
-#define AS_WHOLE(x) as_int(x)
-#define AS_BITS(x) as_uint(x)
-#else
-#define AS_REAL(x) JOIN(as_float, VEC)(x)
-#define AS_WHOLE(x) JOIN(as_int, VEC)(x)
-#define AS_BITS(x) JOIN(as_uint, VEC)(x)
-#endif
 #define AT_REFLECTANCE 9
 #define AT_EMISSION (9 + 4 * HAS_SPECULAR)
 #define AT_NORMALS (AT_EMISSION + 3 * HAS_EMISSION)
-
-/* Rays that go on and shadow rays: their first planes, and how many planes `append_ray` writes. */
-#define NEXT_RAY 0
-#define NEXT_STATE 17
-#define SHADOW_RAY 6
-#define SHADOW_STATE 22
-#define HIT 12
-#define LIT 16
-#define PLANE(wave, number) ((wave) + HEADER + (number) * (ulong)plane)
-
-typedef struct {
-  triple origin, direction, throughput;
-  bits path;
-  real density;
-} Ray;
-
-/* Appends the rays of lanes that are alive to those that `count_at` counts; shadow rays leave their density out. */
-void append_rays(const Ray *ray, const whole alive, const int is_shadow, const uint plane, global float *restrict wave) {
-  float number[11][VEC];
-  int is_alive[VEC];
-  uint source[VEC + 1];
-  STORE(alive, is_alive);
-  uint count = 0;
-  /* Without branches: whether a lane is alive cannot be foreseen. */
-#pragma unroll
-  for (uint lane = 0; lane < VEC; ++lane) {
-    source[count] = lane;
-    count += is_alive[lane] != 0 ? 1u : 0u;
-  }
-  if (count == 0) return;
-  volatile global uint *ray_count = (volatile global uint *)wave + (is_shadow ? COUNT_STEP : 0);
-  const uint at = atomic_add(ray_count, count);
-  global float *restrict to = PLANE(wave, is_shadow ? SHADOW_RAY : NEXT_RAY) + at;
-  global float *restrict state = PLANE(wave, is_shadow ? SHADOW_STATE : NEXT_STATE) + at;
-  const real numbers[11] = {ray->origin.x,     ray->origin.y,     ray->origin.z,     ray->direction.x,
-                            ray->direction.y,  ray->direction.z,  ray->throughput.x, ray->throughput.y,
-                            ray->throughput.z, ray->density,      AS_REAL(ray->path)};
-  if (count == VEC) {
-#pragma unroll
-    for (uint row = 0; row < 6; ++row) STORE(numbers[row], to + row * (ulong)plane);
-#pragma unroll
-    for (uint row = 0; row < 3; ++row) STORE(numbers[6 + row], state + row * (ulong)plane);
-    if (!is_shadow) STORE(numbers[9], state + 3 * (ulong)plane);
-    STORE(numbers[10], state + (is_shadow ? 3 : 4) * (ulong)plane);
-    return;
-  }
-#pragma unroll
-  for (uint row = 0; row < 11; ++row) STORE(numbers[row], number[row]);
-  for (uint i = 0; i < count; ++i) {
-    const uint lane = source[i];
-#pragma unroll
-    for (uint row = 0; row < 6; ++row) to[row * (ulong)plane + i] = number[row][lane];
-#pragma unroll
-    for (uint row = 0; row < 3; ++row) state[row * (ulong)plane + i] = number[6 + row][lane];
-    if (!is_shadow) state[3 * (ulong)plane + i] = number[9][lane];
-    state[(is_shadow ? 3 : 4) * (ulong)plane + i] = number[10][lane];
-  }
-}
 
 /* Throughput of one more bounce: f_r cos / density, zero below the surface. */
 triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
@@ -121,7 +50,7 @@ whole is_shiny(const Scatterer *s) {
 }
 
 kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
-                        const uint sample_count, const uint stride, const uint capacity, const uint max_depth,
+                        const uint sample_count, const uint stride, const uint max_depth,
                         global const uint *restrict order, global const float *restrict surface,
                         global const float *restrict u, global const float *restrict v,
                         global float *restrict radiance, const uint plane, global float *restrict wave) {
@@ -131,7 +60,7 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint channel = 0; channel < 3; ++channel) STORE((real)0.0f, radiance + channel * (ulong)capacity + at);
+  for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + at * RADIANCE_FLOATS + k * VEC);
 
   Ray ray;
   ray.origin = to_triple(ray_origin(&p));
@@ -162,11 +91,6 @@ triple sum_of(const triple a, const triple b, const real factor) {
 
 triple turned(const triple t, const whole turn) {
   return (triple){SELECT(t.x, -t.x, turn), SELECT(t.y, -t.y, turn), SELECT(t.z, -t.z, turn)};
-}
-
-triple load_planes(global const float *restrict wave, const uint number, const uint plane, const uint first) {
-  return (triple){LOAD(PLANE(wave, number) + first), LOAD(PLANE(wave, number + 1) + first),
-                  LOAD(PLANE(wave, number + 2) + first)};
 }
 
 /* Where rays hit. The position along the ray is moved onto the triangle's plane, for the offset to suffice. */
@@ -205,31 +129,53 @@ void load_hit(global const float *restrict triangles, const whole at, const trip
 #endif
 }
 
-void add_radiance(const triple throughput, const real amount[3], const bits path, const whole here,
-                  const ulong capacity, global float *restrict radiance) {
+/* Adds to the sums of lanes that are `here`. */
+void add_radiance(const triple brought, const bits path, const whole here, global float *restrict radiance) {
   float added[3][VEC];
   int is_here[VEC];
   uint name[VEC];
-  STORE(throughput.x * amount[0], added[0]);
-  STORE(throughput.y * amount[1], added[1]);
-  STORE(throughput.z * amount[2], added[2]);
+  STORE(brought.x, added[0]);
+  STORE(brought.y, added[1]);
+  STORE(brought.z, added[2]);
   STORE(here, is_here);
   STORE(path, name);
   for (uint lane = 0; lane < VEC; ++lane)
-    if (is_here[lane] != 0)
-      for (uint channel = 0; channel < 3; ++channel)
-        radiance[channel * capacity + name[lane]] += added[channel][lane];
+    if (is_here[lane] != 0) {
+      global float *sum = radiance + name[lane] * (ulong)RADIANCE_FLOATS;
+      for (uint channel = 0; channel < 3; ++channel) sum[channel] += added[channel][lane];
+    }
+}
+
+/* a + b where `here`. */
+triple sum_where(const triple a, const triple b, const whole here) {
+  return (triple){SELECT(a.x, a.x + b.x, here), SELECT(a.y, a.y + b.y, here), SELECT(a.z, a.z + b.z, here)};
+}
+
+triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y * b.y, a.z * b.z}; }
+
+/* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
+ * the ray's `density` is. */
+triple light_met(global const float *restrict lights, const whole light, const triple outgoing, const real distance,
+                 const real density) {
+  const whole record = max(light, (whole)0) * LIGHT_FLOATS;
+  const real emitted = dot_triple(gather_triple(lights, record + 9), outgoing);
+  const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
+  const real shared = gather(lights, record + 19);
+  const real other = distance * distance * shared / max(facing, (real)1e-20f);
+  const real weight = SELECT((real)0.0f, shared * density / (density + other), (facing > 0.0f) && (density > 0.0f));
+  const triple amount = gather_triple(lights, record + 12);
+  return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
 
 /* Rays of `bounce` (the first is 1) and their hits. */
-kernel void shade_hits(const uint count, const uint capacity, const uint max_depth, const uint bounce,
+kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
                        global const float *restrict triangles, global const float *restrict lights,
-                       global const float *restrict guide_frame, global const uint *restrict guide,
-                       global const float *restrict guide_mean, global uint *restrict guide_place,
-                       const uint plane, global const float *restrict wave, global float *restrict radiance,
-                       const uint next_plane, global float *restrict next_wave) {
+                       global const float *restrict casters, global const float *restrict guide_frame,
+                       global const uint *restrict guide, global const float *restrict guide_mean,
+                       global uint *restrict guide_place, const uint plane, global const float *restrict wave,
+                       global float *restrict radiance, const uint next_plane, global float *restrict next_wave) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const whole here = LANE_NUMBER + first < (bits)count;
@@ -245,21 +191,14 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, NEXT_STATE + 4) + first)), here);
   const whole light = TO_WHOLE(gather(triangles, at + 5));
   const whole met = triangle >= 0;
+  triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
-  /* A light ends the path. What it adds is weighted by how else it could have been found. */
+  /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
-    const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-    const triple normal = gather_triple(lights, record + 9);
-    const real emitted = dot_triple(normal, outgoing);
-    const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
-    const real shared = gather(lights, record + 19);
-    const real other = distance * distance * shared / max(facing, (real)1e-20f);
-    const real weight = shared * density / (density + other);
-    real amount[3];
-    for (int channel = 0; channel < 3; ++channel) amount[channel] = weight * gather(lights, record + 12 + channel);
-    add_radiance(ray.throughput, amount, ray.path, on_light && (facing > 0.0f) && (density > 0.0f), capacity, radiance);
+    const triple found = light_met(lights, light, outgoing, distance, density);
+    brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
@@ -267,12 +206,13 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, HIT + 1) + first),
            LOAD(PLANE(wave, HIT + 2) + first), outgoing, &position, &geometric_normal, &s);
 #if HAS_EMISSION
-  const triple emission = gather_triple(triangles, at + AT_EMISSION);
-  const real glow[3] = {emission.x, emission.y, emission.z};
-  add_radiance(ray.throughput, glow, ray.path, on_surface && (largest_of(emission) > 0.0f), capacity, radiance);
+  brought = sum_where(brought, product(ray.throughput, gather_triple(triangles, at + AT_EMISSION)), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
-  if (bounce + 2 > max_depth) return;
+  if (bounce + 2 > max_depth) {
+    add_radiance(brought, ray.path, largest_of(brought) > 0.0f, radiance);
+    return;
+  }
   whole both_ways = on_surface;
   /* For the last of them a ray that finds light is worth while only if there is a lobe. */
   const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
@@ -302,7 +242,14 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
                                ray.throughput.z * f_r[2] * found.radiance[2] * scale};
   shadow.density = (real)0.0f;
   shadow.path = ray.path;
-  append_rays(&shadow, lit && (largest_of(shadow.throughput) > 0.0f), 1, next_plane, next_wave);
+  const whole is_cast = lit && (largest_of(shadow.throughput) > 0.0f);
+#if CASTERS
+  count_shadow_rays(is_cast, next_wave);
+  brought = sum_where(brought, shadow.throughput, reaches_light(casters, shadow.origin, shadow.direction, is_cast));
+#else
+  (void)casters;
+  append_rays(&shadow, is_cast, 1, next_plane, next_wave);
+#endif
 
   real inverse_guide = (real)1.0f;
 #if GUIDED
@@ -356,9 +303,8 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
      * c + (R - c) / survival or c, whose expectation is R whatever c. */
     const whole known = cell * GUIDE_CHANNELS;
     const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
-    const real expected[3] = {kept * gather(guide_mean, known), kept * gather(guide_mean, known + 1),
-                              kept * gather(guide_mean, known + 2)};
-    add_radiance(ray.throughput, expected, ray.path, alive && matte, capacity, radiance);
+    const triple expected = sum_of((triple){(real)0.0f, (real)0.0f, (real)0.0f}, gather_triple(guide_mean, known), kept);
+    brought = sum_where(brought, product(ray.throughput, expected), alive && matte);
 #endif
     alive = survives;
     ray.throughput.x *= scale_up;
@@ -371,25 +317,31 @@ kernel void shade_hits(const uint count, const uint capacity, const uint max_dep
   ray.throughput.y *= inverse_guide;
   ray.throughput.z *= inverse_guide;
   append_rays(&ray, alive && (largest_of(ray.throughput) > 0.0f), 0, next_plane, next_wave);
+  /* What roulette is expected to find may be negative. */
+  add_radiance(brought, ray.path, here, radiance);
 }
 
-kernel void add_lit(const uint count, const uint capacity, const uint plane, global const float *restrict wave,
+kernel void add_lit(const uint count, const uint plane, global const float *restrict wave,
                     global float *restrict radiance) {
   const uint ray = (uint)get_global_id(0);
   if (ray >= count || ((global const uchar *)PLANE(wave, LIT))[ray] == 0) return;
-  const uint path = as_uint(PLANE(wave, SHADOW_STATE + 3)[ray]);
-  for (uint channel = 0; channel < 3; ++channel)
-    radiance[channel * (ulong)capacity + path] += PLANE(wave, SHADOW_STATE + channel)[ray];
+  global float *sum = radiance + as_uint(PLANE(wave, SHADOW_STATE + 3)[ray]) * (ulong)RADIANCE_FLOATS;
+  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, SHADOW_STATE + channel)[ray];
 }
 
 /* `most` caps what a path brings, by its largest channel. */
-kernel void finish_paths(const uint count, const uint capacity, const float most, global const uint *restrict slot,
+kernel void finish_paths(const uint count, const float most, global const uint *restrict slot,
                          global const uchar *restrict visible, global const float *restrict radiance,
                          global float *restrict value) {
   const uint at = (uint)get_global_id(0) * VEC;
   if (at >= count) return;
   const real seen = load_visibility(slot, visible, at);
-  const triple brought = {LOAD(radiance + at), LOAD(radiance + capacity + at), LOAD(radiance + 2 * (ulong)capacity + at)};
+  float sum[3][VEC];
+#pragma unroll
+  for (uint lane = 0; lane < VEC; ++lane)
+    for (uint channel = 0; channel < 3; ++channel)
+      sum[channel][lane] = radiance[(at + lane) * (ulong)RADIANCE_FLOATS + channel];
+  const triple brought = {LOAD(sum[0]), LOAD(sum[1]), LOAD(sum[2])};
   const real largest = largest_of(brought);
   const real scale = SELECT((real)1.0f, (real)most / largest, largest > most);
   STORE(FMA(LOAD(value + at), seen, brought.x * scale), value + at);

@@ -15,6 +15,7 @@ from .program import build
 from .sampler import sampler_defines
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .scene import Scene
+from .shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
 from .trace import Hits, Tracer
 from .warp import Warp, warp_defines
 
@@ -22,8 +23,10 @@ from .warp import Warp, warp_defines
 UNLIMITED = 1 << 30
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
-# Planes of a wave, and of them those that the host reads and writes; paths.cl has the list.
+# Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
 PLANES, HOST_PLANES = 26, 17
+# Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
+RADIANCE_FLOATS = 4
 # Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
 # the same where the mean of what is ended is known. Of those tried, the least variance times rays
 # (96 x 96 points, one pair of seeds, Cornell box and interior).
@@ -40,14 +43,25 @@ def sample_source(
     points: ShadingPoints,
     integrand: Integrand,
     *rest: Any,
+    shadows_tested: bool = False,
 ) -> SampleSource:
-    """The `SampleSource` that suits the integrand; arguments as it takes them."""
-    kind = PathSource if integrand.nested else SampleSource
-    return kind(device, scene, tracer, points, integrand, *rest)
+    """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
+    if integrand.nested:
+        arguments = (device, scene, tracer, points, integrand, *rest)
+        return PathSource(*arguments, shadows_tested=shadows_tested)
+    return SampleSource(device, scene, tracer, points, integrand, *rest)
 
 
 class _Wave:
-    """Memory for the rays of one bounce, and what they find, as paths.cl lays it out.
+    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
+
+    Parameters
+    ----------
+    device
+    capacity : int
+        Most rays of each kind.
+    shadows_tested : bool
+        Whether shadow rays are but counted, as kernels answer them.
 
     Attributes
     ----------
@@ -55,15 +69,16 @@ class _Wave:
         float32; some planes hold integers.
     plane : int
         Elements of a plane.
-    rays, shadows : int
-        How many go on, and how many end at a light.
+    rays, shadows, tested : int
+        How many go on, how many end at a light, and how many of those kernels have answered.
     """
 
-    def __init__(self, device: Device, capacity: int) -> None:
+    def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
         self._width = device.vector_width
+        self._shadows_tested = shadows_tested
         self.words = HostArray(device, HEADER + PLANES * self._plane_of(capacity), np.float32)
         self.words.fill(0)
-        self.plane = self.rays = self.shadows = 0
+        self.plane = self.rays = self.shadows = self.tested = 0
 
     def make_room(self, count: int) -> None:
         """For at most `count` rays of each kind."""
@@ -81,6 +96,8 @@ class _Wave:
             counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
             self.rays, self.shadows = counts.tolist()
             counts[:] = 0
+            if self._shadows_tested:
+                self.tested, self.shadows = self.shadows, 0
             planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
             rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
             tracer.closest_and_visible(
@@ -99,7 +116,10 @@ class _Wave:
 class PathSource(SampleSource):
     """Draws samples of global illumination: complete values, each with the noise of one path.
 
-    Parameters as for `SampleSource`.
+    Parameters as for `SampleSource`, and
+
+    shadows_tested : bool
+        Test shadow rays behind the first bounce on the device where the scene is of few triangles.
     """
 
     def __init__(
@@ -111,6 +131,7 @@ class PathSource(SampleSource):
         integrand: GlobalIllumination,
         sampler: str,
         *rest: Any,
+        shadows_tested: bool = False,
     ) -> None:
         super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
         self._max_depth = integrand.max_depth or UNLIMITED
@@ -118,10 +139,13 @@ class PathSource(SampleSource):
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
         self._frame = HostArray.of(device, guide_frame(scene))
+        few = shadows_tested and len(scene.triangles) <= MOST_CASTERS
+        casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
+        self._casters = HostArray.of(device, casters)
         self._guide: list[HostArray] = []
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
-        self._files = (*surface, "warp", "guide", "batch", "paths")
+        self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -129,15 +153,17 @@ class PathSource(SampleSource):
             **defines,
             "HEADER": f"{HEADER}u",
             "COUNT_STEP": f"{COUNT_STEP}u",
+            "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
             "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+            **shadow_defines(len(scene.triangles) if few else 0),
             **ray_defines(),
             **warp_defines(),
             **guide_defines(),
         }
         self._choose_program()
         capacity = self._capacity
-        self._wave, self._next = (_Wave(device, capacity) for _ in range(2))
-        self._radiance = HostArray(device, (self.channels, capacity), np.float32)
+        self._wave, self._next = (_Wave(device, capacity, few) for _ in range(2))
+        self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
         self._place = _zeros(device, capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
         self._whole_slot = _zeros(device, capacity, np.uint32)
@@ -204,7 +230,6 @@ class PathSource(SampleSource):
         self._paths.kernel("finish_paths")(
             -(-count // self.device.vector_width),
             count,
-            self._capacity,
             self._most,
             batch.slot,
             batch.visible,
@@ -230,7 +255,6 @@ class PathSource(SampleSource):
             self.points.total,
             batch.samples,
             batch.stride,
-            self._capacity,
             self._max_depth,
             batch.order,
             self.points.surface,
@@ -245,12 +269,12 @@ class PathSource(SampleSource):
         """Rays that leave the first hits: their paths, throughputs, what the paths brought so far."""
         path, throughput = self._wave.under_way()
         with self._radiance.mapped() as radiance:
-            return path, throughput, radiance[:, path]
+            return path, throughput, radiance[path, : self.channels].T
 
     def _record(self, path: np.ndarray, throughput: np.ndarray, before: np.ndarray) -> None:
         """What came along rays that were `_under_way`."""
         with self._radiance.mapped() as radiance, self._place.mapped() as place:
-            brought = (radiance[:, path] - before).astype(np.float64)
+            brought = (radiance[path, : self.channels].T - before).astype(np.float64)
             place = place[path]
         # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
         arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
@@ -261,13 +285,15 @@ class PathSource(SampleSource):
         """Closest hits of the rays under way, and which shadow rays reach their lights."""
         self.rays.trace_seconds += self._wave.trace(self._tracer)
         self.rays.traced += self._wave.rays + self._wave.shadows
+        self.rays.on_device += self._wave.tested
 
     def _add_lit(self) -> None:
         """Add what shadow rays found visible."""
         wave = self._wave
-        self._paths.kernel("add_lit")(
-            wave.shadows, wave.shadows, self._capacity, wave.plane, wave.words, self._radiance
-        )
+        if wave.shadows:
+            self._paths.kernel("add_lit")(
+                wave.shadows, wave.shadows, wave.plane, wave.words, self._radiance
+            )
 
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
         """From hits to shadow rays and the next rays, which are then the wave."""
@@ -276,7 +302,6 @@ class PathSource(SampleSource):
         self._paths.kernel("shade_hits")(
             -(-wave.rays // self.device.vector_width),
             wave.rays,
-            self._capacity,
             self._max_depth,
             bounce,
             batch.points.start,
@@ -288,6 +313,7 @@ class PathSource(SampleSource):
             batch.order,
             self._triangles,
             self._data,
+            self._casters,
             self._frame,
             *(self._guide or (self._frame, self._frame)),
             self._place,

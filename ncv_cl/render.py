@@ -238,6 +238,7 @@ class _Rendering:
             settings.seed,
             RESIDUAL_PASS,
             occluders,
+            shadows_tested=settings.visibility == "auto",
         )
 
     def _without_dark(self, points: ShadingPoints) -> ShadingPoints:

@@ -276,14 +276,16 @@ def sampling(
     sampler: str = "sobol",
     seed: int = 1,
     with_occluders: bool = False,
+    shadows_tested: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded."""
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
     occluders = Occluders(device, scene, points, integrand) if with_occluders else None
     samples_of = sample_source(
-        device, scene, recorder, points, integrand, sampler, seed, samples, occluders
-    )
+        device, scene, recorder, points, integrand, sampler, seed, samples, occluders,
+        shadows_tested=shadows_tested,
+    )  # fmt: skip
     return points, samples_of, recorder
 
 

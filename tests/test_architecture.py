@@ -23,7 +23,7 @@ ORDER = (
     "sampler trace",
     "points",
     "integrands",
-    "shaft",
+    "shadow shaft",
     "encode warp",
     "samples",
     "guide",

@@ -1,0 +1,97 @@
+/* A wave: what the rays of one bounce of all paths are made of, and what they found.
+ *
+ * Memory layout: HEADER words, then planes of 32-bit words, ray i at i of each:
+ *   0 origin (3), 3 direction (3) of the rays that go on, 6 origin (3), 9 direction (3) of shadow rays, as the host
+ *   reads them; 12 triangle hit (int, -1: none), 13 and 14 barycentric u and v, 15 distance in multiples of the
+ *   direction, 16 whether the shadow ray reached its light (bytes), as the host writes them; 17 throughput (3),
+ *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path; 22 throughput (3) and
+ *   25 path of shadow rays.
+ * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
+ * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs.
+ *
+ * Work-group contract: none; append_rays is called by any work-item, for VEC rays at a time, and counts them by
+ * an atomic addition.
+ */
+
+#if VEC == 1
+#define AS_REAL(x) as_float(x)
+#define AS_WHOLE(x) as_int(x)
+#define AS_BITS(x) as_uint(x)
+#else
+#define AS_REAL(x) JOIN(as_float, VEC)(x)
+#define AS_WHOLE(x) JOIN(as_int, VEC)(x)
+#define AS_BITS(x) JOIN(as_uint, VEC)(x)
+#endif
+
+/* Rays that go on and shadow rays: their first planes, and how many planes `append_ray` writes. */
+#define NEXT_RAY 0
+#define NEXT_STATE 17
+#define SHADOW_RAY 6
+#define SHADOW_STATE 22
+#define HIT 12
+#define LIT 16
+#define PLANE(wave, number) ((wave) + HEADER + (number) * (ulong)plane)
+
+typedef struct {
+  triple origin, direction, throughput;
+  bits path;
+  real density;
+} Ray;
+
+/* Appends the rays of lanes that are alive to those that `count_at` counts; shadow rays leave their density out. */
+void append_rays(const Ray *ray, const whole alive, const int is_shadow, const uint plane, global float *restrict wave) {
+  float number[11][VEC];
+  int is_alive[VEC];
+  uint source[VEC + 1];
+  STORE(alive, is_alive);
+  uint count = 0;
+  /* Without branches: whether a lane is alive cannot be foreseen. */
+#pragma unroll
+  for (uint lane = 0; lane < VEC; ++lane) {
+    source[count] = lane;
+    count += is_alive[lane] != 0 ? 1u : 0u;
+  }
+  if (count == 0) return;
+  volatile global uint *ray_count = (volatile global uint *)wave + (is_shadow ? COUNT_STEP : 0);
+  const uint at = atomic_add(ray_count, count);
+  global float *restrict to = PLANE(wave, is_shadow ? SHADOW_RAY : NEXT_RAY) + at;
+  global float *restrict state = PLANE(wave, is_shadow ? SHADOW_STATE : NEXT_STATE) + at;
+  const real numbers[11] = {ray->origin.x,     ray->origin.y,     ray->origin.z,     ray->direction.x,
+                            ray->direction.y,  ray->direction.z,  ray->throughput.x, ray->throughput.y,
+                            ray->throughput.z, ray->density,      AS_REAL(ray->path)};
+  if (count == VEC) {
+#pragma unroll
+    for (uint row = 0; row < 6; ++row) STORE(numbers[row], to + row * (ulong)plane);
+#pragma unroll
+    for (uint row = 0; row < 3; ++row) STORE(numbers[6 + row], state + row * (ulong)plane);
+    if (!is_shadow) STORE(numbers[9], state + 3 * (ulong)plane);
+    STORE(numbers[10], state + (is_shadow ? 3 : 4) * (ulong)plane);
+    return;
+  }
+#pragma unroll
+  for (uint row = 0; row < 11; ++row) STORE(numbers[row], number[row]);
+  for (uint i = 0; i < count; ++i) {
+    const uint lane = source[i];
+#pragma unroll
+    for (uint row = 0; row < 6; ++row) to[row * (ulong)plane + i] = number[row][lane];
+#pragma unroll
+    for (uint row = 0; row < 3; ++row) state[row * (ulong)plane + i] = number[6 + row][lane];
+    if (!is_shadow) state[3 * (ulong)plane + i] = number[9][lane];
+    state[(is_shadow ? 3 : 4) * (ulong)plane + i] = number[10][lane];
+  }
+}
+
+triple load_planes(global const float *restrict wave, const uint number, const uint plane, const uint first) {
+  return (triple){LOAD(PLANE(wave, number) + first), LOAD(PLANE(wave, number + 1) + first),
+                  LOAD(PLANE(wave, number + 2) + first)};
+}
+
+/* Counts shadow rays that need not be traced. */
+void count_shadow_rays(const whole is_cast, global float *restrict wave) {
+  int one[VEC];
+  STORE(is_cast, one);
+  uint count = 0;
+#pragma unroll
+  for (uint lane = 0; lane < VEC; ++lane) count += one[lane] != 0 ? 1u : 0u;
+  if (count > 0) atomic_add((volatile global uint *)wave + COUNT_STEP, count);
+}
