@@ -6,8 +6,8 @@ import numpy as np
 
 from .scene import Scene
 
-# Triangles of a scene whose shadow rays are tested so. Measured on PoCL 3.1, rays a second over those of
-# paths that trace every ray (Cornell box, its triangles cut): 1.38 at 32 triangles, 1.40 at 64, 1.15 at 128.
+# Triangles of a scene whose shadow rays are tested so. Measured on PoCL 3.1, rays a second over those
+# of paths that trace every ray (Cornell box, its triangles cut): 1.38 at 32, 1.40 at 64, 1.15 at 128.
 MOST_CASTERS = 128
 # Floats of a triangle's record, as shadow.cl lays it out, and of what comes before the first.
 CASTER_FLOATS = 22
