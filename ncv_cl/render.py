@@ -114,7 +114,8 @@ def render(
         Leave out points that face away from every light. False computes their zeros, to compare.
     visibility : {"auto", "embree"}
         Points between which and the lights few triangles can stand test their shadow rays against these
-        on the device, or leave all to embree. Pixels differ only where a ray grazes an edge.
+        on the device, and so do the bounces of global illumination in scenes of few triangles; or leave
+        all to embree. Pixels differ only where a ray grazes an edge.
     network : Network, str or Path, optional
         A trained network, or its file, to use instead of training one ("ncv"). Only a file holds the
         density as well. Control coefficients belong to the image they were found for, and are 1 here.
