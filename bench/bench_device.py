@@ -25,7 +25,7 @@ from device_checks import SCENES, validate
 
 import ncv_cl as ncv
 from ncv_cl.choose import choose_device
-from ncv_cl.device import GPU_LANES, Device, HostArray, open_device
+from ncv_cl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
 from ncv_cl.encode import Encoding
 from ncv_cl.network import GROUPS, NetworkDescription
 from ncv_cl.presets import PRESETS
@@ -124,7 +124,8 @@ def stages(device: Device, scene: str, integrand: str, method: str, quick: bool)
 def shapes(device: Device) -> list[tuple[int, int]]:
     """The device's own (VEC, LANES) first, then what else is worth a try."""
     own = device.vector_width, device.lanes
-    others = GPU_SHAPES if device.is_gpu else CPU_SHAPES
+    widest = widest_vectors(device.cl_device)
+    others = GPU_SHAPES if device.is_gpu else [shape for shape in CPU_SHAPES if shape[0] <= widest]
     largest = device.cl_device.max_work_group_size
     return [own, *(shape for shape in others if shape != own and shape[1] <= largest)]
 

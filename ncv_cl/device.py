@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,6 +15,11 @@ import pyopencl as cl
 GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate.
 GROUP_SIZE = 64
+
+# PoCL ends a device's version by the CPU that its LLVM compiles for. LLVM 14 takes newer AMD CPUs for
+# these, without AVX-512; PoCL 3.0 claims vectors of 64 bytes there all the same, and aborts over them.
+_NO_AVX512 = re.compile(r"-(znver[123]|generic|x86-64)$")
+_AVX_BYTES = 32
 
 INSTALL_HINT = (
     "no OpenCL device was found. Install a runtime: `pip install 'ncv_cl[pocl]'` brings PoCL for the "
@@ -97,8 +103,13 @@ def default_widths(cl_device: cl.Device) -> tuple[int, int]:
     """(VEC, LANES) for a device: whole vectors and one lane on CPUs, the reverse on GPUs."""
     if cl_device.type & cl.device_type.GPU:
         return 1, GPU_LANES
-    native = cl_device.native_vector_width_float
+    native = min(cl_device.native_vector_width_float, widest_vectors(cl_device))
     return (16 if native >= 16 else 8 if native >= 8 else 4), 1
+
+
+def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
+    """The widest VEC of numbers of so many bytes that the device's compiler survives."""
+    return _AVX_BYTES // item_bytes if _NO_AVX512.search(cl_device.version.strip()) else 16
 
 
 @functools.cache
@@ -109,7 +120,19 @@ def open_device(
     lanes: int | None = None,
     use_fma: bool = True,
 ) -> Device:
-    """Open a device with a context and a queue; VEC and LANES can be set to simulate another shape."""
+    """Open a device with a context and a queue; VEC and LANES can be set to simulate another shape.
+
+    Raises
+    ------
+    DeviceError
+        If `vector_width` is wider than the device's compiler survives (`widest_vectors`).
+    """
+    widest = widest_vectors(cl_device)
+    if vector_width is not None and vector_width > widest:
+        raise DeviceError(
+            f"{cl_device.name.strip()} ({cl_device.version.strip()}) cannot compile vectors of "
+            f"{vector_width} floats; ask for at most {widest}"
+        )
     default_vector_width, default_lanes = default_widths(cl_device)
     context = _context(cl_device)
     return Device(

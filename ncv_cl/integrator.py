@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from .arrangement import robust_shape_constants, shape_constants
-from .device import Device, HostArray
+from .device import Device, HostArray, widest_vectors
 from .program import Kernel, Program, build, device_defines
 
 METHODS = ("decoupled", "full")
@@ -155,6 +155,7 @@ class Integrator:
             "LEAKY": int(negative_slope != 0),
             "NEGATIVE_SLOPE": f"{float(negative_slope)!r}{suffix}",
             "DOUBLE": int(self.precision == "float64"),
+            "VEC": min(device.vector_width, widest_vectors(device.cl_device, self.dtype.itemsize)),
             "AREA_TOLERANCE": f"{float(tolerance)!r}{suffix}",
             "TINY": TINY[self.precision],
             "TRIANGLES_A_SUM": TRIANGLES_A_SUM,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from ncv_cl.device import GPU_LANES, HostArray, default_widths, open_device
+from ncv_cl.device import GPU_LANES, DeviceError, HostArray, default_widths, open_device
 
 
 @pytest.mark.parametrize(
@@ -97,17 +98,31 @@ def test_descriptions_name_the_device_and_its_widths(device):
 
 
 @pytest.mark.parametrize(
-    ("kind", "native", "expected"),
+    ("kind", "native", "compiled_for", "expected"),
     [
-        (cl.device_type.CPU, 16, (16, 1)),
-        (cl.device_type.CPU, 8, (8, 1)),
-        (cl.device_type.CPU, 4, (4, 1)),
-        (cl.device_type.CPU, 1, (4, 1)),
-        (cl.device_type.GPU, 1, (1, GPU_LANES)),
+        (cl.device_type.CPU, 16, "skylake-avx512", (16, 1)),
+        (cl.device_type.CPU, 16, "znver4", (16, 1)),
+        (cl.device_type.CPU, 16, "znver3", (8, 1)),
+        (cl.device_type.CPU, 16, "generic", (8, 1)),
+        (cl.device_type.CPU, 8, "haswell", (8, 1)),
+        (cl.device_type.CPU, 4, "x86-64", (4, 1)),
+        (cl.device_type.CPU, 1, "", (4, 1)),
+        (cl.device_type.GPU, 1, "", (1, GPU_LANES)),
     ],
 )
-def test_widths_follow_the_kind_of_device(kind, native, expected):
-    assert default_widths(SimpleNamespace(type=kind, native_vector_width_float=native)) == expected
+def test_widths_follow_the_kind_of_device(kind, native, compiled_for, expected):
+    version = f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{compiled_for} "
+    cl_device = SimpleNamespace(type=kind, native_vector_width_float=native, version=version)
+    assert default_widths(cl_device) == expected
+
+
+def test_vectors_that_would_abort_the_compiler_are_refused():
+    cl_device = Mock(version="OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-znver3")
+    cl_device.name = "pthread-AMD EPYC"
+    with pytest.raises(
+        DeviceError, match=r"pthread-AMD EPYC .* vectors of 16 floats; ask for at most 8"
+    ):
+        open_device(cl_device, vector_width=16)
 
 
 def test_opening_twice_gives_the_same_device_and_context(one_device):

@@ -12,7 +12,7 @@ import pytest
 from rational import exact_integral, point_network, random_network, relative_errors
 
 from ncv_cl.arrangement import Capacities
-from ncv_cl.device import GPU_LANES, HostArray, open_device
+from ncv_cl.device import GPU_LANES, HostArray, open_device, widest_vectors
 from ncv_cl.integrate import integrate
 from ncv_cl.integrator import Integrator
 from ncv_cl.program import option_list, source
@@ -132,7 +132,8 @@ def test_a_point_has_the_same_bits_in_every_range(device, method):
 def test_all_vector_widths_agree(one_device, method):
     network = random_network((2, 9, 18, 5), 3, seed=7)
     results = []
-    for vector_width, lanes in ((1, 1), (4, 1), (8, 1), (16, 1), (1, 8), (1, GPU_LANES)):
+    widest = widest_vectors(one_device.cl_device)
+    for vector_width, lanes in ((1, 1), (4, 1), (8, 1), (widest, 1), (1, 8), (1, GPU_LANES)):
         device = open_device(one_device.cl_device, one_device.index, vector_width, lanes)
         results.append(integrate(*network, method=method, device=device))
     np.testing.assert_allclose(results, np.broadcast_to(results[0], np.shape(results)), atol=2e-6)
@@ -246,7 +247,8 @@ def test_clang_finds_nothing(one_device, method, precision):
     flags = "-x cl -cl-std=CL1.2 -Xclang -finclude-default-header -fsyntax-only -Wall -Wextra "
     flags += "-Wconversion -Wdouble-promotion -Werror"
     for widths in ((2, 3), (2, 5, 1), (2, 32, 32, 3), (2, 4, 4, 4, 2)):
-        for vector_width, lanes, slope in ((16, 1, 0.0), (1, GPU_LANES, 0.1), (1, 1, 0.0)):
+        widest = widest_vectors(one_device.cl_device)
+        for vector_width, lanes, slope in ((widest, 1, 0.0), (1, GPU_LANES, 0.1), (1, 1, 0.0)):
             device = open_device(one_device.cl_device, one_device.index, vector_width, lanes)
             integrator = Integrator(
                 device,
