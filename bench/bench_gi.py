@@ -8,7 +8,8 @@
    training samples a point, 1024, so the images are small; the share of f that is noise says what a
    network without error would bring.
 3. What lowers it, one thing at a time, at equal samples: mean square error, rays, and their product.
-4. Seconds that "ncv" and "auto" take to the error of plain Monte Carlo with Sobol points.
+4. Seconds that "ncv" and "auto" take to the error of plain Monte Carlo with Sobol points, and from how
+   many samples on they are ahead.
 
 Mean square errors are halved squared differences of two renders with different seeds, which needs no
 reference. Before anything is timed, plain Monte Carlo and the control variate are tested to agree.
@@ -23,6 +24,8 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from bench_curves import stages
+from crossover import Curve, crossover
 
 import ncv_cl as ncv
 from ncv_cl.choose import choose_device
@@ -60,6 +63,7 @@ VARIANTS = {
 
 # Those of which seconds to equal error are told, beside "auto"; the others are held against the first.
 TIMED = ("Sobol", "ncv", "ncv, split direct")
+SPPS, QUICK_SPPS = (8, 32, 128, 512), (16, 64)
 
 
 class Recorder:
@@ -137,14 +141,17 @@ class Case:
             )
 
     def error(self, spp: int, repeats: int = 1, **options: object) -> dict[str, float]:
-        """Mean square error, seconds, samples and rays a point of renders."""
+        """Mean square error, seconds and those of stages, samples and rays a point of renders."""
         images = [self.render(spp, 10 + k, **options) for k in range(2 * repeats)]
         pairs = zip(images[::2], images[1::2], strict=True)
         mse = np.mean([np.mean((a.pixels.astype(float) - b.pixels) ** 2) / 2 for a, b in pairs])
         stats = [image.stats for image in images]
+        parts = [stages(one["seconds"]) for one in stats]
         return {
+            "spp": spp,
             "mse": float(mse),
             "seconds": float(np.median([one["seconds"]["total"] for one in stats])),
+            "stages": {name: float(np.median([one[name] for one in parts])) for name in parts[0]},
             "samples": float(np.mean([one["samples_per_point"] for one in stats])),
             "rays": float(np.mean([one["rays_traced"] / one["points"] for one in stats])),
         }
@@ -252,15 +259,6 @@ def finding_table(case: Case) -> list[dict[str, float | str]]:
     return rows
 
 
-def seconds_to(points: list[dict[str, float]], mse: float) -> float:
-    """Seconds to an error: both go as powers of the samples between and beyond two measured points."""
-    (first, second), log = points, np.log
-    slope = log(second["mse"] / first["mse"]) / log(second["samples"] / first["samples"])
-    samples = first["samples"] * (mse / first["mse"]) ** (1 / slope)
-    a_sample = (second["seconds"] - first["seconds"]) / (second["samples"] - first["samples"])
-    return max(first["seconds"] + a_sample * (samples - first["samples"]), 0.0)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
@@ -274,7 +272,7 @@ def main() -> None:
     options = parser.parse_args()
     device = choose_device(options.device)
     size = options.size or (32 if options.quick else 256)
-    spps = (16, 64) if options.quick else (128, 512)
+    spps = QUICK_SPPS if options.quick else SPPS
     print(f"{device.identity}\n{size} x {size} points")
     results = {}
     for name in NAMES:
@@ -288,7 +286,7 @@ def main() -> None:
 
 
 def measure(
-    case: Case, spps: tuple[int, int], quick: bool, repeats: int, times_only: bool
+    case: Case, spps: tuple[int, ...], quick: bool, repeats: int, times_only: bool
 ) -> dict[str, object]:
     speed = throughput(case, 8 if quick else 16)
     print(
@@ -303,7 +301,8 @@ def measure(
             continue
         # Kernels are compiled outside the clock.
         case.render(8, 1, **options)
-        runs[name] = [case.error(spp, repeats, **options) for spp in spps]
+        wanted = spps if name in TIMED else spps[-1:]
+        runs[name] = [case.error(spp, repeats, **options) for spp in wanted]
         last, base = runs[name][-1], runs["Sobol"][-1]
         gain = base["mse"] * base["samples"] / (last["mse"] * last["samples"])
         by_rays = base["mse"] * base["rays"] / (last["mse"] * last["rays"])
@@ -314,15 +313,20 @@ def measure(
         )  # fmt: skip
     case.render(max(8, spps[0] // 8), 1, method="auto")
     runs["auto"] = [case.error(spp, repeats, method="auto") for spp in spps]
-    target = runs["Sobol"][-1]
-    speedups = {}
+    target, plain = runs["Sobol"][-1], Curve.of(runs["Sobol"])
+    speedups, crossovers = {}, {}
     for name in (*TIMED[1:], "auto"):
-        speedups[name] = target["seconds"] / max(seconds_to(runs[name], target["mse"]), 1e-9)
+        ours = Curve.of(runs[name])
+        speedups[name] = target["seconds"] / float(ours.seconds_to(target["mse"])[0])
+        crossovers[name] = crossover(plain, ours).as_dict()
     print(
         f"  error of {spps[-1]} Sobol samples, {target['seconds']:.2f} s; seconds of Sobol over seconds "
         "of: " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in speedups.items()), flush=True,
     )  # fmt: skip
-    return {"throughput": speed, "finding": findings, "runs": runs, "speedups": speedups}
+    return {
+        "throughput": speed, "finding": findings, "runs": runs, "speedups": speedups,
+        "crossovers": crossovers,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

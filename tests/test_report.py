@@ -209,6 +209,27 @@ def test_any_json_becomes_tables():
     assert by_name.cells() == [["first", "1.00"], ["second", "2.00"]]
 
 
+GI = {
+    "cases": {
+        "attic": {
+            "throughput": {
+                "million_rays_a_second": 4.0, "ratio": 0.9, "traced": 0.5, "all_traced_ratio": 0.6
+            },
+            "finding": [
+                {
+                    "preset": "slides", "training samples": count, "relative network error": 1 / count,
+                    "share of f": 0.4, "gain": 2.0, "most gain": 2.5,
+                }
+                for count in (64, 1024)
+            ],
+            "runs": {"Sobol": PLAIN, "ncv": OURS},
+            "speedups": {"ncv": 1.5},
+            "crossovers": {"ncv": crossover(Curve.of(PLAIN), Curve.of(OURS)).as_dict()},
+        }
+    }
+}  # fmt: skip
+
+
 def planar(method: str, reduction: float, **more: object) -> dict:
     return {
         "integrand": "disk",
@@ -260,6 +281,10 @@ def planar(method: str, reduction: float, **more: object) -> dict:
             "abacus: 1 of 2 checks of kernels against their references pass; fold fail.",
         ),
         ("gi", {"findings": ["It is dark."]}, "It is dark."),
+        ("gi", GI, "attic gi: plain path tracing answers 4.00 million rays a second, all in, 0.900 of"),
+        ("gi", GI, "field's variance, but 40.0 % of f's variance is noise of the nested estimate"),
+        ("gi", GI, "attic gi: 4096 Sobol samples take 41.0 s; those over the seconds"),
+        ("gi", GI, "attic gi: the control variate pays from 400 samples of Sobol Monte Carlo on"),
     ],
 )  # fmt: skip
 def test_other_parts_numbers_become_sentences(tmp_path, monkeypatch, name, data, said):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bench_curves import DEFAULT, SOBOL
 
+from . import gi
 from .document import Figure, Paragraph, Section, Table, shown
 from .generic import tables
 from .parts import Part
@@ -229,4 +230,5 @@ _FINDINGS: dict[str, Callable[[dict], Iterator[str]]] = {
     "mitsuba": _mitsuba,
     "scaling": _scaling,
     "device": _device,
+    "gi": gi.findings,
 }
