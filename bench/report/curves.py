@@ -87,12 +87,14 @@ def _least_error(case: dict) -> str:
     if len(order) < 2:
         return ""
     best, second, worst = order[0], order[1], order[-1]
-    return (
+    text = (
         f"{label(case)}: in {shown(budget)} s, the most that every method was given, {best} has the "
         f"least mean square error ({shown(reached[best])}); {second} has "
-        f"{shown(reached[second] / reached[best])} times as much, {worst} "
-        f"{shown(reached[worst] / reached[best])} times."
+        f"{shown(reached[second] / reached[best])} times as much"
     )
+    if worst != second:
+        text += f", {worst} {shown(reached[worst] / reached[best])} times"
+    return text + "."
 
 
 def _error_at(curve: Curve, seconds: float) -> float | None:
