@@ -22,6 +22,7 @@ import json
 import time
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench_curves import stages
@@ -140,7 +141,7 @@ class Case:
                 f"{self.scene.name}: mc and ncv disagree by {difference / deviation} deviations"
             )
 
-    def error(self, spp: int, repeats: int = 1, **options: object) -> dict[str, float]:
+    def error(self, spp: int, repeats: int = 1, **options: object) -> dict[str, Any]:
         """Mean square error, seconds and those of stages, samples and rays a point of renders."""
         images = [self.render(spp, 10 + k, **options) for k in range(2 * repeats)]
         pairs = zip(images[::2], images[1::2], strict=True)

@@ -8,8 +8,8 @@ What is not:
 
 - Two-sided lights are two one-sided ones, back to back, a hair's breadth apart.
 - Where an interpolated normal turns away from the viewer (silhouettes of coarse smooth meshes) ours
-  takes the triangle's normal, Mitsuba the surface's other side. That makes ours some 0.1 % brighter in
-  global illumination of knot and occluders; without vertex normals they agree within 0.03 %.
+  takes the triangle's normal, Mitsuba the surface's other side. Global illumination of knot and
+  occluders is 0.1 % brighter with ours; without vertex normals in either it agrees within 0.03 %.
 - Shadow rays: ours leave and end a few roundings off the surfaces, Mitsuba's by epsilons of its own.
 - A mesh's light from below its geometric normal: ours is zero, Mitsuba's is up to the shadow ray.
 """

@@ -16,8 +16,8 @@ GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate.
 GROUP_SIZE = 64
 
-# PoCL ends a device's version by the CPU that its LLVM compiles for. LLVM 14 takes newer AMD CPUs for
-# these, without AVX-512; PoCL 3.0 claims vectors of 64 bytes there all the same, and aborts over them.
+# PoCL ends a device's version by the CPU that its LLVM compiles for; these lack AVX-512. LLVM 14 takes
+# newer AMD CPUs for one; PoCL 3.0 claims vectors of 64 bytes all the same, and aborts over them.
 _NO_AVX512 = re.compile(r"-(znver[123]|generic|x86-64)$")
 _AVX_BYTES = 32
 
@@ -109,7 +109,10 @@ def default_widths(cl_device: cl.Device) -> tuple[int, int]:
 
 def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
     """The widest VEC of numbers of so many bytes that the device's compiler survives."""
-    return _AVX_BYTES // item_bytes if _NO_AVX512.search(cl_device.version.strip()) else 16
+    claims_avx512 = cl_device.native_vector_width_float >= 16
+    if claims_avx512 and _NO_AVX512.search(cl_device.version.strip()):
+        return _AVX_BYTES // item_bytes
+    return 16
 
 
 @functools.cache

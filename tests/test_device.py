@@ -9,7 +9,14 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from ncv_cl.device import GPU_LANES, DeviceError, HostArray, default_widths, open_device
+from ncv_cl.device import (
+    GPU_LANES,
+    DeviceError,
+    HostArray,
+    default_widths,
+    open_device,
+    widest_vectors,
+)
 
 
 @pytest.mark.parametrize(
@@ -116,8 +123,16 @@ def test_widths_follow_the_kind_of_device(kind, native, compiled_for, expected):
     assert default_widths(cl_device) == expected
 
 
+@pytest.mark.parametrize(("native", "widest"), [(16, (8, 4)), (8, (16, 16))])
+def test_only_what_contradicts_itself_is_held_back(native, widest):
+    version = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-znver3"
+    cl_device = SimpleNamespace(native_vector_width_float=native, version=version)
+    assert (widest_vectors(cl_device), widest_vectors(cl_device, 8)) == widest
+
+
 def test_vectors_that_would_abort_the_compiler_are_refused():
-    cl_device = Mock(version="OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-znver3")
+    version = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-znver3"
+    cl_device = Mock(version=version, native_vector_width_float=16)
     cl_device.name = "pthread-AMD EPYC"
     with pytest.raises(
         DeviceError, match=r"pthread-AMD EPYC .* vectors of 16 floats; ask for at most 8"

@@ -194,6 +194,12 @@ def test_findings_are_made_of_the_numbers(built):
     )
 
 
+def test_of_two_methods_the_other_is_named_once():
+    methods = {name: {"points": rows} for name, rows in ((SOBOL, PLAIN), (DEFAULT, OURS))}
+    text = curves._least_error({"scene": "attic", "integrand": "direct", "methods": methods})
+    assert text.count("MC, Sobol") == 1 and "attic direct: in 41.0 s" in text
+
+
 def test_a_result_that_cannot_be_shown_costs_no_other(results):
     (results / "curves.json").write_text(json.dumps({"cases": [{"methods": {}}]}))
     text = build_report(results)[1].read_text()
