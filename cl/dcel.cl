@@ -3,11 +3,16 @@
  * A cell is a convex polygon. Lines are inserted one after the other. Each line is evaluated once at all
  * vertices (`side`); from there on only the stored signs speak: zero counts as positive, a half-edge is
  * crossed when its two ends lie on different sides. Every line that enters a face therefore leaves it, each
- * insertion splits faces by chords, and the result is a planar subdivision whatever the rounding. Parallel,
- * coincident and concurrent lines need no special case: the worst they make is faces of almost no area.
+ * insertion splits faces by chords, and the result is a planar subdivision whatever the rounding.
+ *
+ * That alone does not make it the right subdivision. Where lines meet in a corner of the cell, the ends of
+ * earlier lines lie within rounding of the new one, and noise in their signs would lead a walk out of the cell
+ * beside its own corner. So a value within LINE_ROUNDING of zero is zero; a line's signs must change twice round
+ * the cell's corners or not at all; it must leave through the side whose corners differ; and it may cross each
+ * earlier line once. A line that does not makes the arrangement `failed`, and the point is done on another path.
  *
  * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is the
- * same edge seen from the neighbouring face, or OUTSIDE on the cell's border (there are no half-edges
+ * same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no half-edges
  * outside the cell). A half-edge keeps its origin for ever: splitting it shortens it, and what is cut off
  * becomes a new half-edge. So nobody's `next` has to be searched for, `prev` is not needed, and half-edge i
  * always starts at corner i of the cell. Vertices lie as structure of arrays, padded to whole vectors.
@@ -19,7 +24,8 @@
  * place, insertion took 25.4 ns a face, not 26.6 (32 lines, one core): one hundredth of a point's time, as the
  * division does not hold up the walk. The order of the directions is of no use to a walk either.
  *
- * Constants. MAX_CORNERS, MAX_VERTICES, MAX_HALF_EDGES: exact bounds for the layer's width, from the host.
+ * Constants. MAX_VERTICES, MAX_HALF_EDGES, MAX_FACES: exact bounds from the host (arrangement.py), the largest of
+ * all arrangements. Whoever appends looks at them all the same.
  * SPACE: where a Dcel lies (__local on GPUs if it fits, else __global).
  *
  * Work-group contract: LANES work-items share one Dcel. `add_lines` is called by all of them and holds
@@ -28,9 +34,17 @@
  * conditions there.
  */
 
-#define OUTSIDE 0xffff
+#define OUTSIDE 0xfe00
 #define REPRESENTATIVE 0x8000
 #define TAG_MASK 0x7fff
+
+/* What a x + b y + c can be off by at a vertex that lies on the line, over the sum of its terms' magnitudes: its
+ * own rounding and the vertex's. */
+#if DOUBLE
+#define LINE_ROUNDING (2 * DBL_EPSILON)
+#else
+#define LINE_ROUNDING (2 * FLT_EPSILON)
+#endif
 
 typedef struct {
   ushort next;
@@ -49,8 +63,9 @@ typedef struct {
   int vertices;
   int edges;
   int faces;
+  int lines; /* lines inserted so far */
   int visited; /* faces that the depth-first walk has entered */
-  int failed; /* sticky: a capacity did not hold, the point must be done again */
+  int failed; /* sticky: a line did not walk as a line does, the point must be done again */
 } __attribute__((aligned(64))) Dcel;
 
 /* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole vectors. */
@@ -64,13 +79,14 @@ typedef struct {
 void leader_begin_cell(SPACE Dcel *d, const int corners) {
   for (int i = 0; i < corners; ++i) {
     d->edge[i].next = (ushort)(i + 1 < corners ? i + 1 : 0);
-    d->edge[i].twin = OUTSIDE;
+    d->edge[i].twin = (ushort)(OUTSIDE + i);
     d->edge[i].origin = (ushort)i;
   }
   d->corners = corners;
   d->vertices = corners;
   d->edges = corners;
   d->faces = 1;
+  d->lines = 0;
   d->visited = 0;
   d->face[0] = 0;
   d->edge[0].tag |= REPRESENTATIVE;
@@ -99,28 +115,48 @@ void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const 
 
 bool leader_below(SPACE const Dcel *d, const int vertex) { return d->side[vertex] < 0; }
 
-/* The half-edge on the cell's border through which the current line enters, or -1. */
-int leader_find_entry(SPACE const Dcel *d) {
-  /* A side of the cell with corners on different sides of the line, then the piece of it that is crossed. */
-  int corner = 0;
-  while (corner + 1 < d->corners && leader_below(d, corner) == leader_below(d, corner + 1)) ++corner;
-  if (corner + 1 == d->corners) return -1;
-  const bool below = leader_below(d, corner);
-  int e = corner;
+/* Where a line enters and leaves the cell: the half-edge on its border that is crossed, or -1, and the side. */
+typedef struct {
+  int half_edge;
+  int leaving_side;
+} Passage;
+
+Passage leader_find_passage(SPACE Dcel *d) {
+  Passage passage = {-1, -1};
+  /* Sides of the cell with corners on different sides of the line: the first, the second, and no more. */
+  int side = 0;
+  const bool below = leader_below(d, 0);
+  while (side + 1 < d->corners && leader_below(d, side + 1) == below) ++side;
+  if (side + 1 == d->corners) return passage;
+  int e = side++;
+  while (side + 1 < d->corners && leader_below(d, side + 1) != below) ++side;
+  passage.leaving_side = side;
+  while (++side < d->corners)
+    if (leader_below(d, side) != below) {
+      d->failed = 1;
+      return passage;
+    }
+  /* The piece of the entering side that is crossed. */
   int next = d->edge[e].next;
   while (leader_below(d, d->edge[next].origin) == below) {
     /* A vertex on the border ends exactly one line: go round it to the next piece of the side. */
     e = d->edge[d->edge[next].twin].next;
     next = d->edge[e].next;
   }
-  return e;
+  passage.half_edge = e;
+  return passage;
 }
 
 /* Inserts the line whose values at the vertices are in `side` by a walk from face to face. */
 void leader_insert_line(SPACE Dcel *d, const ushort tag) {
   if (d->failed) return;
-  int behind = leader_find_entry(d);
+  const Passage passage = leader_find_passage(d);
+  int behind = passage.half_edge;
   if (behind < 0) return;
+  if (d->vertices == MAX_VERTICES || d->edges == MAX_HALF_EDGES) {
+    d->failed = 1;
+    return;
+  }
   int vertices = d->vertices;
   int edges = d->edges;
   int faces = d->faces;
@@ -130,10 +166,12 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
   int ahead = edges++;
   int ahead_next = d->edge[behind].next;
   leader_place_vertex(d, from, d->edge[behind].origin, d->edge[ahead_next].origin);
-  d->edge[ahead] = (HalfEdge){(ushort)ahead_next, OUTSIDE, (ushort)from,
+  d->edge[ahead] = (HalfEdge){(ushort)ahead_next, d->edge[behind].twin, (ushort)from,
                               (ushort)(d->edge[behind].tag & TAG_MASK)};
   for (;;) {
-    if (vertices + 1 > MAX_VERTICES || edges + 4 > MAX_HALF_EDGES) {
+    /* Each earlier line is crossed once at most, which bounds all arrays; the rest guards the memory. */
+    if (faces > d->faces + d->lines || vertices == MAX_VERTICES || edges + 4 > MAX_HALF_EDGES ||
+        faces == MAX_FACES) {
       d->failed = 1;
       break;
     }
@@ -168,7 +206,10 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
     d->edge[chord] = (HalfEdge){(ushort)rest, (ushort)chord_twin, (ushort)from, chord_tag};
     d->edge[chord_twin] = (HalfEdge){(ushort)ahead, (ushort)chord, (ushort)to, twin_tag};
     d->face[faces++] = (ushort)(old_is_ahead ? chord : chord_twin);
-    if (edge.twin == OUTSIDE) break;
+    if (edge.twin >= OUTSIDE) {
+      if (edge.twin - OUTSIDE != passage.leaving_side) d->failed = 1;
+      break;
+    }
 
     /* The same vertex on the twin, which bounds the next face. */
     behind = edge.twin;
@@ -182,6 +223,7 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
   d->vertices = vertices;
   d->edges = edges;
   d->faces = faces;
+  ++d->lines;
 }
 
 /* crossing[j] = whether line j has corners of the cell on both sides, VEC lines at a time. */
@@ -219,14 +261,24 @@ void leader_list_crossing_lines(SPACE int *crossing, const int count) {
   crossing[LINE_STRIDE] = found;
 }
 
-/* Evaluates line j at all vertices. */
+/* a x + b y + c, or 0 where that is not told from it. */
+numbers snapped_value(const numbers a, const numbers b, const numbers c, const numbers x, const numbers y) {
+  const numbers z = FMA(a, x, FMA(b, y, c));
+  const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));
+  return fabs(z) <= (number)LINE_ROUNDING * terms ? (numbers)0 : z;
+}
+
+/* Evaluates line j at all vertices; a vertex within rounding of it lies on it. */
 void take_sides(SPACE Dcel *d, SPACE const Lines *lines, const int j, const int lane) {
   const numbers a = lines->a[j];
   const numbers b = lines->b[j];
   const numbers c = lines->c[j];
   const int vertices = d->vertices;
-  for (int v = lane * VEC; v < vertices; v += LANES * VEC)
-    PUT(FMA(a, LOAD(d->x + v), FMA(b, LOAD(d->y + v), c)), SPACE, d->side + v);
+  for (int v = lane * VEC; v < vertices; v += LANES * VEC) {
+    const numbers x = LOAD(d->x + v);
+    const numbers y = LOAD(d->y + v);
+    PUT(snapped_value(a, b, c, x, y), SPACE, d->side + v);
+  }
 }
 
 /* Inserts those of `count` lines that meet the cell. `crossing` has room for LINE_STRIDE + 1 indices.

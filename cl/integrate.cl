@@ -9,8 +9,10 @@
  * relu(z) has a closed form in the values at the three vertices (triangle_integral).
  * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
  *
- * Certification. The absolute areas of all triangles must sum to 1 and G must be finite; points that fail
- * are appended to `retry` and done by integrate_robust.
+ * Certification (integrate_check.cl). Every line must walk as a line does, the absolute areas of all triangles
+ * must sum to 1, the subdivision's own error and the rounding must be small, and G finite. Points that fail are
+ * appended to `retry`: in single precision the same kernel does them again in double (-D SINGLE_ARRAYS, -D LISTED),
+ * then integrate_robust.
  *
  * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group. Network
  * parameters are row-major (n_out, n_in), with a leading points axis where -D PER_POINT_WEIGHTS_k or
@@ -31,47 +33,59 @@ bool leader_descend(SPACE Workspace *work, const int k) {
   SPACE Dcel *child = &work->arrangement[k + 1];
   if (parent->visited == parent->faces) return false;
   const int first = parent->face[parent->visited++];
-  number sum_x = 0;
-  number sum_y = 0;
+  const number x0 = parent->x[parent->edge[first].origin];
+  const number y0 = parent->y[parent->edge[first].origin];
+  number x1 = 0;
+  number y1 = 0;
+  Face face = {0, 0, 0, 0, 0, 0};
   int corners = 0;
   int e = first;
   do {
-    if (corners == MAX_CORNERS) {
+    if (corners == CORNER_BOUND[k + 1]) {
       parent->failed = 1;
       return false;
     }
     const int v = parent->edge[e].origin;
-    child->x[corners] = parent->x[v];
-    child->y[corners] = parent->y[v];
+    const number x = parent->x[v];
+    const number y = parent->y[v];
+    child->x[corners] = x;
+    child->y[corners] = y;
     child->edge[corners].tag = (ushort)(parent->edge[e].tag & TAG_MASK);
-    sum_x += parent->x[v];
-    sum_y += parent->y[v];
+    add_to_face(&face, cross_product(x1, y1, x - x0, y - y0), x1 + x - x0, y1 + y - y0);
+    face.mean_x += x;
+    face.mean_y += y;
+    x1 = x - x0;
+    y1 = y - y0;
     e = parent->edge[e].next;
     ++corners;
   } while (e != first);
-  work->mean_x = sum_x / (number)corners;
-  work->mean_y = sum_y / (number)corners;
+  finish_face(&face, x0, y0, corners);
+  work->face = face;
   leader_begin_cell(child, corners);
   return true;
 }
 
-/* Goes to the next cell, depth first, and leaves its arrangement in `level`: -1 after the last cell. */
+/* Goes to the next cell, depth first, and leaves its arrangement in `level`: -1 after the last cell, or where an
+ * arrangement failed. */
 void leader_next_cell(SPACE Workspace *work) {
   int k = LESSER(work->level, LAST_ARRANGEMENT - 1);
+  for (int i = 0; i < ARRANGEMENTS; ++i) k = work->arrangement[i].failed ? -1 : k;
   while (k >= 0 && !leader_descend(work, k)) --k;
   work->level = k < 0 ? -1 : k + 1;
 }
 
-/* The affine functions of layer k + 1 inside the current face of arrangement k. */
-void next_lines(SPACE Workspace *work, __global const Tables *tables, const int k, const int lane) {
+/* The affine functions of layer k + 1 inside the current face of arrangement k, and this face's part in the check of
+ * layer k. */
+void next_lines(SPACE Workspace *work, __global Tables *tables, const int k, const int lane) {
   SPACE const Lines *lines = &work->lines[k];
   SPACE Lines *next = &work->lines[k + 1];
   const int inputs = WIDTH[k + 1];
   const int stride = STRIDE[k + 1];
   __global const number *matrix = layer_matrix(work, tables, k + 1);
   __global const number *bias = layer_bias(work, tables, k + 1);
-  const number mean_x = work->mean_x;
-  const number mean_y = work->mean_y;
+  const number mean_x = work->face.mean_x;
+  const number mean_y = work->face.mean_y;
+  subtract_face(work, tables, k, lane);
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     numbers a = 0;
     numbers b = 0;
@@ -128,12 +142,13 @@ void leader_begin_point(SPACE Workspace *work) {
 
 /* Walks all cells of one point's network and leaves the last hidden layer's integrals in `moment`. */
 void integrate_network(SPACE Workspace *work, __global Tables *tables, const int lane) {
-  clear_moments(tables, lane);
+  clear_sums(tables, lane);
   if (output_is_constant(work, tables)) {
     if (lane == 0) leader_skip_point(work);
     BARRIER();
     return;
   }
+  sum_terms(work, tables, lane);
   first_lines(work, tables, lane);
   if (lane == 0) leader_begin_point(work);
   BARRIER();
@@ -142,7 +157,9 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
 #endif
 #if ARRANGEMENTS == 1
   integrate_cell(work, tables, lane);
+  sum_on_terms(work, tables, lane);
 #else
+  add_cell(work, tables, 0, 1, lane);
   for (;;) {
     if (lane == 0) leader_next_cell(work);
     BARRIER();
@@ -151,8 +168,12 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
     next_lines(work, tables, k - 1, lane);
     BARRIER();
     add_lines(&work->arrangement[k], &work->lines[k], work->crossing, WIDTH[k + 1], (ushort)(k + 1), lane);
-    if (k == LAST_ARRANGEMENT) integrate_cell(work, tables, lane);
+    if (k == LAST_ARRANGEMENT)
+      integrate_cell(work, tables, lane);
+    else
+      add_cell(work, tables, k, 1, lane);
   }
+  sum_on_terms(work, tables, lane);
 #endif
 }
 
@@ -166,45 +187,59 @@ void unscale_moments(SPACE const Workspace *work, __global Tables *tables, const
 
 #endif
 
-/* G = b + W M for all channels, through the scaled output layer. */
-void compute_outputs(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+/* G = b + W M for all channels, through the scaled output layer; its condition, and its bound where that is asked
+ * for. */
+void compute_outputs(SPACE Workspace *work, __global Tables *tables, const int lane) {
   __global const number *matrix = layer_matrix(work, tables, HIDDEN);
   __global const number *bias = layer_bias(work, tables, HIDDEN);
   for (int j = lane * VEC; j < OUTPUT_STRIDE; j += LANES * VEC) {
     numbers sum = LOAD(bias + j);
+    numbers scale = fabs(sum);
+    numbers terms = scale;
+#if WRITE_BOUND
+    numbers all_terms = scale;
+#endif
     for (int i = 0; i < WIDTH[HIDDEN]; ++i) {
 #if HIDDEN > 0
       const number moment = tables->moment[i];
+      const number on_terms = tables->on_terms[BIAS_OFFSET[HIDDEN - 1] + i];
 #else
       const number moment = (number)0.5f;
+      const number on_terms = (number)0.5f;
 #endif
-      sum = FMA(LOAD(matrix + i * STRIDE[HIDDEN] + j), (numbers)moment, sum);
+      const numbers weight = LOAD(matrix + i * STRIDE[HIDDEN] + j);
+      sum = FMA(weight, (numbers)moment, sum);
+      scale = FMA(fabs(weight), (numbers)fabs(moment), scale);
+      terms = FMA(fabs(weight), (numbers)on_terms, terms);
+#if WRITE_BOUND && HIDDEN > 0
+      all_terms = FMA(fabs(weight), (numbers)tables->terms[BIAS_OFFSET[HIDDEN - 1] + i], all_terms);
+#endif
     }
-    PUT(unscale(work, tables, HIDDEN, j, sum), __global, tables->output + j);
+    const numbers output = unscale(work, tables, HIDDEN, j, sum);
+    PUT(output, __global, tables->output + j);
+    if (any_of(terms > (number)CONDITION_LIMIT * scale)) atomic_or(&work->ill_conditioned, 1);
+#if WRITE_BOUND && HIDDEN == 0
+    all_terms = terms;
+#endif
+#if WRITE_BOUND
+    const numbers bound = ((number)EXCESS_TOLERANCE + (number)ROUNDINGS * (number)EPSILON) * all_terms;
+    PUT(unscale(work, tables, HIDDEN, j, bound) + (number)STORED_EPSILON * fabs(output), __global,
+        tables->bound + j);
+#endif
   }
 }
 
-void copy_numbers(__global number *to, __global const number *from, const int count, const int lane) {
-  for (int j = lane; j < count; j += LANES) to[j] = from[j];
-}
-
-/* Whether the point's result can be trusted. */
-bool leader_certifies(SPACE const Workspace *work, __global const Tables *tables) {
-  bool certified = true;
-#if HIDDEN > 0
-  for (int k = 0; k < ARRANGEMENTS; ++k) certified = certified && !work->arrangement[k].failed;
-  certified = certified && fabs(work->area - 1) <= (number)AREA_TOLERANCE;
-#else
-  (void)work;
-#endif
-  for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) certified = certified && isfinite(tables->output[j]);
-  return certified;
+void copy_numbers(__global stored *to, __global const number *from, const int count, const int lane) {
+  for (int j = lane; j < count; j += LANES) to[j] = (stored)from[j];
 }
 
 /* Zeroes what vector loads touch beyond the numbers in use. */
 void clear_padding(SPACE Workspace *work, __global Tables *tables, const int lane) {
   for (int i = lane; i < MATRIX_NUMBERS; i += LANES) tables->matrix[i] = 0;
-  for (int i = lane; i < BIAS_NUMBERS; i += LANES) tables->bias[i] = 0;
+  for (int i = lane; i < BIAS_NUMBERS; i += LANES) tables->bias[i] = tables->terms[i] = tables->on_terms[i] = 0;
+#if !METHOD_FULL
+  for (int i = lane; i < MAX_VERTICES; i += LANES) tables->vertex_weight[i] = 0;
+#endif
 #if HIDDEN > 0
   for (int k = 0; k < ARRANGEMENTS; ++k) {
     for (int i = lane; i < MAX_VERTICES; i += LANES) {
@@ -230,15 +265,29 @@ __kernel void integrate_memory(__global int *bytes) {
     load_weights(tables, k, weights_##k + PER_POINT_WEIGHTS_##k * p * MATRIX_SIZE(k), lane); \
   if (first || PER_POINT_BIASES_##k)                                                         \
     load_biases(tables, k, biases_##k + PER_POINT_BIASES_##k * p * BIAS_SIZE(k), lane);
+/* So is their range. */
+#define CHECK_LAYER(k)                                                                    \
+  if (PER_POINT_WEIGHTS_##k || PER_POINT_BIASES_##k)                                      \
+    check_range(&work->scaled, tables, k, lane);                                          \
+  else if (first)                                                                         \
+    check_range(&work->shared_scaled, tables, k, lane);
 #define MATRIX_SIZE(k) ((size_t)WIDTH[k] * (size_t)WIDTH[(k) + 1])
 #define BIAS_SIZE(k) ((size_t)WIDTH[(k) + 1])
 
-/* Points [begin, end), `run` at a time. counters: [0] the queue's head, [1] the length of `retry`. */
+/* Points [begin, end), or with -D LISTED those in list[begin, end), `run` at a time. counters: COUNT_HEAD is the
+ * queue's head, COUNT_RETRY the length of `retry`, COUNT_FINISHED how many points were integrated, certified or not,
+ * and one for each reason why a point is in `retry`. */
 __kernel __attribute__((reqd_work_group_size(LANES, 1, 1)))
 void integrate(const int begin, const int end, const int run, __global int *counters,
-               __global int *retry, __global ulong *group_faces, __global number *G,
+#if LISTED
+               __global const int *list,
+#endif
+               __global int *retry, __global ulong *group_faces, __global stored *G,
 #if WRITE_MOMENTS
-               __global number *moments,
+               __global stored *moments,
+#endif
+#if WRITE_BOUND
+               __global stored *bounds,
 #endif
                __global Workspace *all_work, __global Tables *all_tables,
                NETWORK_ARGUMENTS) {
@@ -254,20 +303,31 @@ void integrate(const int begin, const int end, const int run, __global int *coun
   clear_padding(work, tables, lane);
   bool first = true;
   ulong faces = 0;
+  int finished = 0;
   for (;;) {
     BARRIER();
-    if (lane == 0) work->first_point = begin + atomic_add(&counters[0], run);
+    if (lane == 0) work->first_point = begin + atomic_add(&counters[COUNT_HEAD], run);
     BARRIER();
     const int start = work->first_point;
     if (start >= end) break;
     const int stop = LESSER(end, start + run);
-    for (int point = start; point < stop; ++point) {
+    for (int next = start; next < stop; ++next) {
+#if LISTED
+      const int point = list[next];
+#else
+      const int point = next;
+#endif
       const size_t p = (size_t)point;
       FOR_EACH_LAYER(LOAD_LAYER)
-      first = false;
-      if (lane == 0) work->scaled = 0;
+      if (lane == 0) {
+        work->scaled = work->ill_conditioned = 0;
+        work->shared_scaled = first ? 0 : work->shared_scaled;
+      }
       BARRIER();
-      for (int k = 0; k <= HIDDEN; ++k) check_range(work, tables, k, lane);
+      FOR_EACH_LAYER(CHECK_LAYER)
+      first = false;
+      BARRIER();
+      if (lane == 0) work->scaled |= work->shared_scaled;
       BARRIER();
       if (work->scaled) scale_layers(tables, lane);
 #if HIDDEN > 0
@@ -276,6 +336,9 @@ void integrate(const int begin, const int end, const int run, __global int *coun
       compute_outputs(work, tables, lane);
       BARRIER();
       copy_numbers(G + p * BIAS_SIZE(HIDDEN), tables->output, WIDTH[HIDDEN + 1], lane);
+#if WRITE_BOUND
+      copy_numbers(bounds + p * BIAS_SIZE(HIDDEN), tables->bound, WIDTH[HIDDEN + 1], lane);
+#endif
 #if WRITE_MOMENTS
       unscale_moments(work, tables, lane);
       BARRIER();
@@ -285,10 +348,18 @@ void integrate(const int begin, const int end, const int run, __global int *coun
 #if HIDDEN > 0
         faces += (ulong)work->faces;
 #endif
-        if (!leader_certifies(work, tables)) retry[atomic_inc(&counters[1])] = point;
+        ++finished;
+        const int reason = leader_verdict(work, tables);
+        if (reason != 0) {
+          atomic_inc(&counters[reason]);
+          retry[atomic_inc(&counters[COUNT_RETRY])] = point;
+        }
       }
       BARRIER();
     }
   }
-  if (lane == 0) group_faces[get_group_id(0)] += faces;
+  if (lane == 0) {
+    group_faces[get_group_id(0)] += faces;
+    atomic_add(&counters[COUNT_FINISHED], finished);
+  }
 }

@@ -2,18 +2,20 @@
  * arrangement before. The neurons are affine there but change sign; no face is cut for that: on a triangle
  * the integral of relu(z) has a closed form in the values at the vertices (triangle_integral).
  *
+ * The arranged layer's own neurons are linear between the vertices. Their integrals, for certification, are sums
+ * over vertices: a third of the areas around a vertex (`vertex_weight`) times the values there.
+ *
  * Network values are taken once per vertex, faces share them. Triangles and neurons are the two loops that cost:
  * VEC neurons at a time on CPUs, a lane a neuron on GPUs.
  *
  * Work-group contract: leader_* for lane 0 between barriers; the others for all lanes, end with a barrier.
  */
 
-/* All faces of the last arrangement as fans of triangles. */
+/* All faces of the last arrangement as fans of triangles; adds them to the vertices' weights. */
 void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
   SPACE Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   int triangles = 0;
-  number area = work->area;
-  number area_error = work->area_error;
+  number area = 0;
   for (int f = 0; f < d->faces; ++f) {
     const int first = d->face[f];
     HalfEdge edge = d->edge[first];
@@ -25,6 +27,8 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
     number x1 = d->x[v1];
     number y1 = d->y[v1];
     number absolute = 0;
+    number fan = 0;
+    number before = 0;
     while (edge.next != first) {
       edge = d->edge[edge.next];
       const int v2 = edge.origin;
@@ -32,8 +36,16 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
       const number y2 = d->y[v2];
       /* From the side that does not touch the apex: a short side far from the apex keeps its digits. */
       const number doubled = cross_product(x2 - x1, y2 - y1, x0 - x1, y0 - y1);
+      const number third_area = doubled * ((number)1 / (number)6);
+      if (triangles == MAX_TRIANGLES) {
+        d->failed = 1;
+        break;
+      }
       __global Triangle *triangle = &tables->triangle[triangles++];
-      triangle->third_area = doubled * ((number)1 / (number)6);
+      triangle->third_area = third_area;
+      tables->vertex_weight[v1] += before + third_area;
+      before = third_area;
+      fan += third_area;
       triangle->vertex[0] = (ushort)apex;
       triangle->vertex[1] = (ushort)v1;
       triangle->vertex[2] = (ushort)v2;
@@ -42,10 +54,14 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
       y1 = y2;
       v1 = v2;
     }
-    COMPENSATED_ADD(number, area, area_error, (number)0.5f * absolute);
+    tables->vertex_weight[v1] += before;
+    tables->vertex_weight[apex] += fan;
+    area = FMA((number)0.5f, absolute, area);
+    if (f % FACES_A_SUM == FACES_A_SUM - 1 || f == d->faces - 1) {
+      COMPENSATED_ADD(number, work->area, work->area_error, area);
+      area = 0;
+    }
   }
-  work->area = area;
-  work->area_error = area_error;
   work->faces += d->faces;
   work->listed = triangles;
 }
@@ -69,31 +85,25 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 /* Vertices that share each load of the matrix: independent sums hide the latency of FMA. */
 #define VERTEX_BLOCK (TILE < 8 ? TILE : 8)
 
-/* What a x + b y + c can be off by at a vertex that lies on the line: its own rounding and the vertex's. */
-#if DOUBLE
-#define LINE_ROUNDING (2 * DBL_EPSILON)
-#else
-#define LINE_ROUNDING (2 * FLT_EPSILON)
-#endif
-
 /* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. A neuron is
  * exactly 0 on its own line: what rounding leaves there would be carried by the next layer's weights into
- * faces in which the neuron is off. */
+ * faces in which the neuron is off. Their weighted sum goes to `excess`; weights are left zero for the next cell. */
 void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];
+  __global const number *inverse_terms = tables->inverse_terms + BIAS_OFFSET[HIDDEN - 2];
   for (int v = lane * VEC; v < TILE; v += LANES * VEC) {
     const numbers x = LOAD(d->x + tile + v);
     const numbers y = LOAD(d->y + tile + v);
+    numbers sum = 0;
     for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
-      const numbers a = lines->a[i];
-      const numbers b = lines->b[i];
-      const numbers c = lines->c[i];
-      const numbers z = FMA(a, x, FMA(b, y, c));
-      const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));
-      const numbers snapped = fabs(z) <= (number)LINE_ROUNDING * terms ? (numbers)0 : z;
-      PUT(activate(snapped), __global, tables->activation + i * TILE + v);
+      const numbers h = activate(snapped_value(lines->a[i], lines->b[i], lines->c[i], x, y));
+      PUT(h, __global, tables->activation + i * TILE + v);
+      sum = FMA(h, (numbers)inverse_terms[i], sum);
     }
+    __global number *excess = tables->excess + lane * VEC;
+    PUT(FMA(sum, LOAD(tables->vertex_weight + tile + v), LOAD(excess)), __global, excess);
+    PUT((numbers)0, __global, tables->vertex_weight + tile + v);
   }
 }
 
@@ -134,58 +144,29 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 
 #endif
 
-/* The integral of the activation of z over a triangle, divided by a third of the triangle's area; z0, z1, z2
- * are the values at its vertices.
- *
- * With values sorted low <= middle <= high, the integral of relu over the area / 3 is
- *   low >= 0           low + middle + high
- *   high <= 0          0
- *   middle <= 0 < high high * high / (high - middle) * high / (high - low)
- *   low < 0 < middle   (middle + high) * high / (high - low)
- *                      + middle * middle / (middle - low) * -low / (high - low)
- * The last is the sum of all less the negative corner, low + middle + high - low^3 / ((middle - low) (high - low)),
- * multiplied out: so all terms are positive and all ratios at most 1, and nothing cancels, however much the
- * negative value outweighs the others. TINY keeps 0 / 0 and overflow out. */
-numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2) {
-  const numbers lesser = LESSER(z0, z1);
-  const numbers greater = GREATER(z0, z1);
-  const numbers low = LESSER(lesser, z2);
-  const numbers high = GREATER(GREATER(greater, z2), (numbers)0);
-  const numbers middle = GREATER(lesser, LESSER(greater, z2));
-  const numbers below = LESSER(low, (numbers)0);
-  const numbers inverse = (number)1 / GREATER(high - below, (numbers)TINY);
-  const numbers share = high * inverse;
-  /* The positive value whose edge to the other side is cut, and the length of that edge. */
-  const numbers cut = middle > 0 ? middle : high;
-  const numbers edge = middle > 0 ? middle - below : high - middle;
-  const numbers part = cut * (cut / GREATER(edge, (numbers)TINY));
-  const numbers two_above = FMA(middle + high, share, FMA(part, -below * inverse, low - below));
-  const numbers positive = middle > 0 ? two_above : part * share;
-#if LEAKY
-  return FMA((numbers)(number)NEGATIVE_SLOPE, z0 + z1 + z2 - positive, positive);
-#else
-  return positive;
-#endif
-}
-
 /* Adds the triangles to the moments, neurons across lanes. */
 void add_triangles(__global Tables *tables, const int triangles, const int lane) {
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
     __global const number *value = tables->value + j;
     numbers moment = LOAD(tables->moment + j);
     numbers error = LOAD(tables->moment_error + j);
+    __global number *open = tables->open + BIAS_OFFSET[HIDDEN - 1] + j;
+    numbers open_sum = 0;
     for (int first = 0; first < triangles; first += TRIANGLES_A_SUM) {
       const int last = LESSER(first + TRIANGLES_A_SUM, triangles);
       numbers sum = 0;
       for (int t = first; t < last; ++t) {
         __global const Triangle *triangle = &tables->triangle[t];
+        numbers share;
         const numbers integral = triangle_integral(LOAD(value + triangle->vertex[0] * MOMENT_STRIDE),
                                                    LOAD(value + triangle->vertex[1] * MOMENT_STRIDE),
-                                                   LOAD(value + triangle->vertex[2] * MOMENT_STRIDE));
+                                                   LOAD(value + triangle->vertex[2] * MOMENT_STRIDE), &share);
         sum = FMA((numbers)triangle->third_area, integral, sum);
+        open_sum = FMA((numbers)triangle->third_area, share, open_sum);
       }
       COMPENSATED_ADD(numbers, moment, error, sum);
     }
+    PUT(FMA((numbers)3, open_sum, LOAD(open)), __global, open);
     PUT(moment, __global, tables->moment + j);
     PUT(error, __global, tables->moment_error + j);
   }
@@ -198,5 +179,8 @@ void integrate_cell(SPACE Workspace *work, __global Tables *tables, const int la
   vertex_values(work, tables, lane);
   BARRIER();
   add_triangles(tables, work->listed, lane);
+#if HIDDEN > 1
+  add_cell(work, tables, LAST_ARRANGEMENT, -1, lane);
+#endif
   BARRIER();
 }

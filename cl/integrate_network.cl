@@ -12,7 +12,7 @@
  * a tenth of a small network's time: such points are not scaled.
  *
  * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the sizes of
- * the arrays below.
+ * the arrays below; CORNER_BOUNDS, the most corners that a cell of each arrangement can have.
  *
  * Work-group contract: all functions are called by all lanes; none but scale_layers holds barriers. Loops over neurons run to the
  * padded end, so that all lanes take the same number of turns: PoCL 3 miscompiles an inner loop inside an outer one
@@ -20,16 +20,19 @@
  */
 
 #define LAST_ARRANGEMENT (ARRANGEMENTS - 1)
+/* Faces whose areas are summed before the sum is added, compensated, to the total. */
+#define FACES_A_SUM 16
 /* Vertices whose activations are held at a time. */
 #define TILE (VEC * LANES < 4 ? 4 : VEC * LANES)
 
-/* A face of the last arrangement: area, first moments, mean of its corners. */
+/* A face: area, first moments, mean of its corners, sum of its triangles' absolute areas. */
 typedef struct {
   number area;
   number x;
   number y;
   number mean_x;
   number mean_y;
+  number absolute_area;
 } Face;
 
 typedef struct {
@@ -45,9 +48,10 @@ typedef struct {
   int level;
   int listed;
   int faces;
+  int shared_scaled; /* the same for the layers that all points share */
   int scaled; /* whether this point's parameters are those in `scaled_matrix` and `scaled_bias` */
-  number mean_x;
-  number mean_y;
+  int ill_conditioned; /* whether a channel's terms are more than CONDITION_LIMIT times what remains of them */
+  Face face; /* that is the cell of the arrangement at `level`, in the one before */
   /* Sum of the absolute areas, compensated. */
   number area;
   number area_error;
@@ -62,9 +66,17 @@ typedef struct {
   number moment[MOMENT_STRIDE] __attribute__((aligned(64)));
   number moment_error[MOMENT_STRIDE] __attribute__((aligned(64)));
   number output[OUTPUT_STRIDE] __attribute__((aligned(64)));
+  number bound[OUTPUT_STRIDE] __attribute__((aligned(64)));
+  /* For certification, see integrate_check.cl. */
+  number terms[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number inverse_terms[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number open[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number on_terms[BIAS_NUMBERS] __attribute__((aligned(64)));
+  number excess[VEC * LANES] __attribute__((aligned(64)));
 #if METHOD_FULL
   Face face[MAX_FACES];
 #else
+  number vertex_weight[MAX_VERTICES] __attribute__((aligned(64))); /* a third of the areas around a vertex */
   number activation[LINE_STRIDE * TILE] __attribute__((aligned(64)));
   number value[MAX_VERTICES * MOMENT_STRIDE] __attribute__((aligned(64)));
   Triangle triangle[MAX_TRIANGLES];
@@ -76,6 +88,26 @@ __constant int WIDTH[] = {WIDTHS};
 __constant int STRIDE[] = {STRIDES};
 __constant int MATRIX_OFFSET[] = {MATRIX_OFFSETS};
 __constant int BIAS_OFFSET[] = {BIAS_OFFSETS};
+__constant int CORNER_BOUND[] = {CORNER_BOUNDS};
+
+/* Adds a triangle of the fan round a corner: twice its area, and the sum of its sides from that corner. */
+void add_to_face(Face *face, const number doubled_area, const number sum_x, const number sum_y) {
+  const number area = (number)0.5f * doubled_area;
+  face->area += area;
+  face->x = FMA(area, sum_x, face->x);
+  face->y = FMA(area, sum_y, face->y);
+  face->absolute_area += fabs(area);
+}
+
+/* The fan's sums to moments and mean; (x, y) is the corner. */
+void finish_face(Face *face, const number x, const number y, const int corners) {
+  const number third = (number)1 / (number)3;
+  const number share = (number)1 / (number)corners;
+  face->x = FMA(face->area, x, face->x * third);
+  face->y = FMA(face->area, y, face->y * third);
+  face->mean_x *= share;
+  face->mean_y *= share;
+}
 
 numbers activate(const numbers z) {
 #if LEAKY
@@ -88,21 +120,21 @@ numbers activate(const numbers z) {
 /* ---- parameters ---------------------------------------------------------------------------------- */
 
 /* Transposes the row-major weights of layer k into `matrix`. */
-void load_weights(__global Tables *tables, const int k, __global const number *weights, const int lane) {
+void load_weights(__global Tables *tables, const int k, __global const stored *weights, const int lane) {
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
   __global number *matrix = tables->matrix + MATRIX_OFFSET[k];
   for (int i = 0; i < inputs; ++i)
-    for (int j = lane; j < WIDTH[k + 1]; j += LANES) matrix[i * stride + j] = weights[j * inputs + i];
+    for (int j = lane; j < WIDTH[k + 1]; j += LANES) matrix[i * stride + j] = (number)weights[j * inputs + i];
 }
 
 /* Copies the biases of layer k. */
-void load_biases(__global Tables *tables, const int k, __global const number *biases, const int lane) {
-  for (int j = lane; j < WIDTH[k + 1]; j += LANES) tables->bias[BIAS_OFFSET[k] + j] = biases[j];
+void load_biases(__global Tables *tables, const int k, __global const stored *biases, const int lane) {
+  for (int j = lane; j < WIDTH[k + 1]; j += LANES) tables->bias[BIAS_OFFSET[k] + j] = (number)biases[j];
 }
 
-/* Notes in `scaled` whether a neuron of layer k has to be scaled. */
-void check_range(SPACE Workspace *work, __global const Tables *tables, const int k, const int lane) {
+/* Sets `scaled` if a neuron of layer k has to be scaled. */
+void check_range(SPACE int *scaled, __global const Tables *tables, const int k, const int lane) {
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
   __global const number *matrix = tables->matrix + MATRIX_OFFSET[k];
@@ -112,7 +144,7 @@ void check_range(SPACE Workspace *work, __global const Tables *tables, const int
       const numbers weight = fabs(LOAD(matrix + i * stride + j));
       largest = GREATER(largest, weight);
     }
-    if (!all_moderate(largest)) atomic_or(&work->scaled, 1);
+    if (!all_moderate(largest)) atomic_or(scaled, 1);
   }
 }
 
@@ -174,9 +206,11 @@ void first_lines(SPACE Workspace *work, __global const Tables *tables, const int
   }
 }
 
-void clear_moments(__global Tables *tables, const int lane) {
+void clear_sums(__global Tables *tables, const int lane) {
   for (int j = lane; j < MOMENT_STRIDE; j += LANES) {
     tables->moment[j] = 0;
     tables->moment_error[j] = 0;
   }
+  for (int j = lane * VEC; j < BIAS_NUMBERS; j += LANES * VEC) PUT((numbers)0, __global, tables->open + j);
+  PUT((numbers)0, __global, tables->excess + lane * VEC);
 }

@@ -1,4 +1,4 @@
-/* The robust path: the same integrals for the few points whose arrangement was not certified.
+/* The robust path: the same integrals for the few points whose arrangement was not certified in any precision.
  *
  * No shared topology, so nothing can go wrong with it: a stack of convex polygons, each cut by one line after the
  * other (Sutherland and Hodgman 1974). Both parts of a cut share its two new corners, hence the areas always add
@@ -33,14 +33,19 @@ typedef struct {
   int neuron;
 } Polygon;
 
+/* a, b, c of a x + b y + c, and what rounding left of them. */
+typedef struct {
+  precise value[3];
+  precise low[3];
+} Line;
+
 typedef struct {
   precise matrix[ROBUST_MATRIX_NUMBERS];
   precise bias[ROBUST_BIAS_NUMBERS];
   int exponent[ROBUST_BIAS_NUMBERS];
-  precise a[HIDDEN * ROBUST_WIDTH];
-  precise b[HIDDEN * ROBUST_WIDTH];
-  precise c[HIDDEN * ROBUST_WIDTH];
+  Line line[HIDDEN * ROBUST_WIDTH];
   precise moment[ROBUST_WIDTH];
+  precise terms[2 * ROBUST_WIDTH];
   /* The polygon in hand, its values for the current line, and its part on the positive side. */
   precise x[ROBUST_CORNERS];
   precise y[ROBUST_CORNERS];
@@ -63,8 +68,8 @@ __kernel void robust_memory(__global int *bytes) { bytes[0] = (int)sizeof(Robust
 int precise_exponent(const precise x) { return x == 0 ? LOWEST_EXPONENT : ilogb(x); }
 
 /* Copies layer k, each neuron scaled by a power of two so that its largest parameter lies in [1, 2). */
-void robust_load(__global Robust *r, const int k, __global const number *weights,
-                 __global const number *biases) {
+void robust_load(__global Robust *r, const int k, __global const stored *weights,
+                 __global const stored *biases) {
   const int inputs = ROBUST_WIDTHS[k];
   __global const int *before = r->exponent + (k > 0 ? ROBUST_BIAS_OFFSET[k - 1] : 0);
   for (int j = 0; j < ROBUST_WIDTHS[k + 1]; ++j) {
@@ -79,46 +84,59 @@ void robust_load(__global Robust *r, const int k, __global const number *weights
   }
 }
 
-/* The affine functions of layer k inside the polygon in hand, where those of layer k - 1 keep their signs. */
+/* sum + low += x * (y + y_low), to twice the precision: the rounding of product and sum goes to `low` (Ogita, Rump,
+ * Oishi 2005, Accurate sum and dot product, algorithms 3.1 and 3.5). */
+void add_product(precise *sum, precise *low, const precise x, const precise y, const precise y_low) {
+  const precise product = x * y;
+  const precise total = *sum + product;
+  const precise before = total - *sum;
+  *low += (*sum - (total - before)) + (product - before) + fma(x, y, -product) + x * y_low;
+  *sum = total;
+}
+
+/* The affine functions of layer k inside the polygon in hand, where those of layer k - 1 keep their signs. Where
+ * hidden neurons cancel, little is left of large terms, so that sums are carried to twice the precision. */
 void robust_lines(__global Robust *r, const int k, const int corners) {
   const int outputs = ROBUST_WIDTHS[k + 1];
   const int inputs = ROBUST_WIDTHS[k];
   __global const precise *matrix = r->matrix + ROBUST_MATRIX_OFFSET[k];
   __global const precise *bias = r->bias + ROBUST_BIAS_OFFSET[k];
-  __global precise *a = r->a + k * ROBUST_WIDTH;
-  __global precise *b = r->b + k * ROBUST_WIDTH;
-  __global precise *c = r->c + k * ROBUST_WIDTH;
-  for (int j = 0; j < outputs; ++j) {
-    a[j] = k == 0 ? matrix[2 * j] : 0;
-    b[j] = k == 0 ? matrix[2 * j + 1] : 0;
-    c[j] = bias[j];
+  if (k == 0) {
+    for (int j = 0; j < outputs; ++j) {
+      r->line[j] = (Line){{matrix[2 * j], matrix[2 * j + 1], bias[j]}, {0, 0, 0}};
+    }
+    return;
   }
-  if (k == 0) return;
   precise mean_x = 0;
   precise mean_y = 0;
   for (int i = 0; i < corners; ++i) {
     mean_x += r->x[i] / (precise)corners;
     mean_y += r->y[i] / (precise)corners;
   }
-  for (int i = 0; i < inputs; ++i) {
-    const int before = (k - 1) * ROBUST_WIDTH + i;
-    const bool active = r->a[before] * mean_x + r->b[before] * mean_y + r->c[before] >= 0;
-    const precise slope = active ? (precise)1 : (precise)NEGATIVE_SLOPE;
-    for (int j = 0; j < outputs; ++j) {
-      const precise weight = matrix[j * inputs + i] * slope;
-      a[j] += weight * r->a[before];
-      b[j] += weight * r->b[before];
-      c[j] += weight * r->c[before];
+  for (int j = 0; j < outputs; ++j) {
+    Line line = {{0, 0, bias[j]}, {0, 0, 0}};
+    for (int i = 0; i < inputs; ++i) {
+      const Line before = r->line[(k - 1) * ROBUST_WIDTH + i];
+      const bool active = before.value[0] * mean_x + before.value[1] * mean_y + before.value[2] >= 0;
+      const precise weight = active ? matrix[j * inputs + i] : matrix[j * inputs + i] * (precise)NEGATIVE_SLOPE;
+      for (int m = 0; m < 3; ++m) add_product(&line.value[m], &line.low[m], weight, before.value[m], before.low[m]);
     }
+    for (int m = 0; m < 3; ++m) {
+      const precise rounded = line.value[m] + line.low[m];
+      line.low[m] -= rounded - line.value[m];
+      line.value[m] = rounded;
+    }
+    r->line[k * ROBUST_WIDTH + j] = line;
   }
 }
 
 /* Cuts the polygon in hand by the line of neuron i of layer k. The positive part stays in hand, the negative
  * one goes to the top of the stack, to go on with the next neuron. Returns the corners in hand. */
 int robust_cut(__global Robust *r, int *height, const int k, const int i, const int corners) {
-  const precise a = r->a[k * ROBUST_WIDTH + i];
-  const precise b = r->b[k * ROBUST_WIDTH + i];
-  const precise c = r->c[k * ROBUST_WIDTH + i];
+  const Line line = r->line[k * ROBUST_WIDTH + i];
+  const precise a = line.value[0];
+  const precise b = line.value[1];
+  const precise c = line.value[2];
   precise low = 0;
   precise high = 0;
   for (int v = 0; v < corners; ++v) {
@@ -189,9 +207,10 @@ void robust_leaf(__global Robust *r, const int corners) {
                             (r->x[v] - r->x[0]) * (r->y[v - 1] - r->y[0]);
     r->area += fabs(doubled) / 2;
     for (int j = 0; j < ROBUST_WIDTHS[HIDDEN]; ++j) {
-      const precise a = r->a[first + j];
-      const precise b = r->b[first + j];
-      const precise c = r->c[first + j];
+      const Line line = r->line[first + j];
+      const precise a = line.value[0];
+      const precise b = line.value[1];
+      const precise c = line.value[2];
       const precise z0 = a * r->x[0] + b * r->y[0] + c;
       const precise z1 = a * r->x[v - 1] + b * r->y[v - 1] + c;
       const precise z2 = a * r->x[v] + b * r->y[v] + c;
@@ -236,23 +255,44 @@ void robust_network(__global Robust *r) {
 }
 
 /* Writes G of a point; returns whether it is certified. */
-bool robust_write(__global const Robust *r, __global number *G) {
+bool robust_write(__global const Robust *r, __global stored *G) {
   const int inputs = ROBUST_WIDTHS[HIDDEN];
   bool certified = !r->failed && fabs(r->area - 1) <= (precise)ROBUST_AREA_TOLERANCE;
   for (int j = 0; j < ROBUST_WIDTHS[HIDDEN + 1]; ++j) {
     precise sum = r->bias[ROBUST_BIAS_OFFSET[HIDDEN] + j];
     for (int i = 0; i < inputs; ++i)
       sum += r->matrix[ROBUST_MATRIX_OFFSET[HIDDEN] + j * inputs + i] * r->moment[i];
-    G[j] = (number)ldexp(sum, r->exponent[ROBUST_BIAS_OFFSET[HIDDEN] + j]);
+    G[j] = (stored)ldexp(sum, r->exponent[ROBUST_BIAS_OFFSET[HIDDEN] + j]);
     certified = certified && isfinite(G[j]);
   }
   return certified;
 }
 
 #if WRITE_MOMENTS
-void robust_write_moments(__global const Robust *r, __global number *moments) {
+void robust_write_moments(__global const Robust *r, __global stored *moments) {
   for (int j = 0; j < ROBUST_WIDTHS[HIDDEN]; ++j)
-    moments[j] = (number)ldexp(r->moment[j], r->exponent[ROBUST_BIAS_OFFSET[HIDDEN - 1] + j]);
+    moments[j] = (stored)ldexp(r->moment[j], r->exponent[ROBUST_BIAS_OFFSET[HIDDEN - 1] + j]);
+}
+#endif
+
+#if WRITE_BOUND
+/* The rounding bound of integrate_check.cl, in this path's precision. There is no subdivision to be wrong. */
+void robust_write_bound(__global Robust *r, __global const stored *G, __global stored *bound) {
+  for (int k = 0; k <= HIDDEN; ++k) {
+    const int inputs = ROBUST_WIDTHS[k];
+    __global const precise *before = r->terms + (k + 1) % 2 * ROBUST_WIDTH;
+    for (int j = 0; j < ROBUST_WIDTHS[k + 1]; ++j) {
+      precise sum = fabs(r->bias[ROBUST_BIAS_OFFSET[k] + j]);
+      for (int i = 0; i < inputs; ++i)
+        sum += fabs(r->matrix[ROBUST_MATRIX_OFFSET[k] + j * inputs + i]) *
+               (k > 0 ? before[i] : (precise)0.5f);
+      if (k < HIDDEN)
+        r->terms[k % 2 * ROBUST_WIDTH + j] = sum * (precise)GREATEST_SLOPE;
+      else
+        bound[j] = (stored)ldexp(ROBUST_ROUNDINGS * PRECISE_EPSILON * sum, r->exponent[ROBUST_BIAS_OFFSET[k] + j]) +
+                   STORED_EPSILON * fabs(G[j]);
+    }
+  }
 }
 #endif
 
@@ -261,23 +301,32 @@ void robust_write_moments(__global const Robust *r, __global number *moments) {
               weights_##k + PER_POINT_WEIGHTS_##k * p * (size_t)(ROBUST_WIDTHS[k] * ROBUST_WIDTHS[(k) + 1]), \
               biases_##k + PER_POINT_BIASES_##k * p * (size_t)ROBUST_WIDTHS[(k) + 1]);
 
-/* The `count` points listed in `retry`. counters: [0] the head of the list, [1] points that fail here too. */
+/* The points list[0, count). counters as for integrate.cl; points that fail here too are appended to `failed`. */
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void integrate_robust(const int count, __global int *counters, __global const int *retry,
-                      __global number *G,
+void integrate_robust(const int count, __global int *counters, __global const int *list, __global int *failed,
+                      __global stored *G,
 #if WRITE_MOMENTS
-                      __global number *moments,
+                      __global stored *moments,
+#endif
+#if WRITE_BOUND
+                      __global stored *bounds,
 #endif
                       __global Robust *all,
                       NETWORK_ARGUMENTS) {
   __global Robust *r = all + get_group_id(0);
-  for (int next = atomic_inc(&counters[0]); next < count; next = atomic_inc(&counters[0])) {
-    const size_t p = (size_t)retry[next];
+  for (int next = atomic_inc(&counters[COUNT_HEAD]); next < count; next = atomic_inc(&counters[COUNT_HEAD])) {
+    const int point = list[next];
+    const size_t p = (size_t)point;
+    __global stored *result = G + p * (size_t)ROBUST_WIDTHS[HIDDEN + 1];
     FOR_EACH_LAYER(ROBUST_LOAD)
     robust_network(r);
 #if WRITE_MOMENTS
     robust_write_moments(r, moments + p * (size_t)ROBUST_WIDTHS[HIDDEN]);
 #endif
-    if (!robust_write(r, G + p * (size_t)ROBUST_WIDTHS[HIDDEN + 1])) atomic_inc(&counters[1]);
+    if (!robust_write(r, result)) failed[atomic_inc(&counters[COUNT_RETRY])] = point;
+#if WRITE_BOUND
+    robust_write_bound(r, result, bounds + p * (size_t)ROBUST_WIDTHS[HIDDEN + 1]);
+#endif
+    atomic_inc(&counters[COUNT_FINISHED]);
   }
 }

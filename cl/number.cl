@@ -1,6 +1,7 @@
 /* Numbers of the geometric integration: float, or double with -D DOUBLE=1; one (`number`) or VEC of them
  * (`numbers`), their exponents, sums that keep their rounding errors, and the
- * arguments of a network of HIDDEN hidden layers.
+ * arguments of a network of HIDDEN hidden layers. Arrays hold `stored` numbers: floats where -D SINGLE_ARRAYS
+ * has points of single precision computed in double.
  *
  * BARRIER separates what lane 0 wrote from what all lanes read; with one lane there is nothing to wait for.
  *
@@ -24,6 +25,13 @@ typedef int exponent_bits;
 #define EXPONENT_BIAS 127
 #define NUMBER_NAME float
 #define EXPONENT_NAME int
+#endif
+#if DOUBLE && !SINGLE_ARRAYS
+typedef double stored;
+#define STORED_EPSILON DBL_EPSILON
+#else
+typedef float stored;
+#define STORED_EPSILON FLT_EPSILON
 #endif
 /* Four layers of 128 such weights stay within 2^80 even in single precision. */
 #define MODERATE_EXPONENT 12
@@ -73,13 +81,49 @@ exponents exponent_of(const numbers x) {
   return ((AS_EXPONENTS(x) >> MANTISSA_BITS) & EXPONENT_MASK) - EXPONENT_BIAS;
 }
 
+/* Whether a comparison of `numbers` holds for one of them; halves are joined, as any() may test one by one. */
+bool any_of(const exponents condition) {
+#if VEC == 16
+  const JOIN(EXPONENT_NAME, 8) c8 = condition.lo | condition.hi;
+#elif VEC == 8
+  const exponents c8 = condition;
+#endif
+#if VEC >= 8
+  const JOIN(EXPONENT_NAME, 4) c4 = c8.lo | c8.hi;
+#elif VEC == 4
+  const exponents c4 = condition;
+#endif
+#if VEC >= 4
+  const JOIN(EXPONENT_NAME, 2) c2 = c4.lo | c4.hi;
+  return (c2.x | c2.y) != 0;
+#else
+  return condition != 0;
+#endif
+}
+
 /* Whether all x are 0 or moderate: no product or sum of a few numbers of that size overflows or vanishes. */
 bool all_moderate(const numbers x) {
   const exponents e = exponent_of(x);
-#if VEC == 1
-  return x == 0 || (e >= -MODERATE_EXPONENT && e < MODERATE_EXPONENT);
+  return !any_of((x != 0) & ((e < -MODERATE_EXPONENT) | (e >= MODERATE_EXPONENT)));
+}
+
+/* Sum of VEC numbers, always in the same order. */
+number sum_numbers(const numbers x) {
+#if VEC == 16
+  const JOIN(NUMBER_NAME, 8) x8 = x.lo + x.hi;
+#elif VEC == 8
+  const numbers x8 = x;
+#endif
+#if VEC >= 8
+  const JOIN(NUMBER_NAME, 4) x4 = x8.lo + x8.hi;
+#elif VEC == 4
+  const numbers x4 = x;
+#endif
+#if VEC >= 4
+  const JOIN(NUMBER_NAME, 2) x2 = x4.lo + x4.hi;
+  return x2.x + x2.y;
 #else
-  return all((x == 0) | ((e >= -MODERATE_EXPONENT) & (e < MODERATE_EXPONENT)));
+  return x;
 #endif
 }
 
@@ -104,7 +148,7 @@ number cross_product(const number ax, const number ay, const number bx, const nu
 }
 
 /* The network's arrays as kernel arguments, two a layer. */
-#define LAYER_ARGUMENTS(k) __global const number *weights_##k, __global const number *biases_##k
+#define LAYER_ARGUMENTS(k) __global const stored *weights_##k, __global const stored *biases_##k
 #if HIDDEN == 0
 #define NETWORK_ARGUMENTS LAYER_ARGUMENTS(0)
 #elif HIDDEN == 1

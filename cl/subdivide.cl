@@ -5,7 +5,7 @@
  * for which the output layer is treated as one more layer of lines.
  *
  * What does not fit the capacities is counted but not written, so that a first launch with none sizes the arrays.
- * counts: [0] cells, [1] corners, [2] whether a capacity of the traversal did not hold.
+ * counts: [0] cells, [1] corners, [2] why the subdivision is not to be trusted (leader_verdict; 0: it is).
  *
  * Work-group contract: one group of one work-item; no barriers.
  */
@@ -21,7 +21,10 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
   clear_padding(work, tables, lane);
   FOR_EACH_LAYER(LOAD_LAYER)
   work->scaled = 1;
+  work->ill_conditioned = 0;
   scale_layers(tables, lane);
+  clear_sums(tables, lane);
+  sum_terms(work, tables, lane);
   first_lines(work, tables, lane);
   leader_begin_point(work);
   add_lines(&work->arrangement[0], &work->lines[0], work->crossing, WIDTH[1], 1, lane);
@@ -34,13 +37,14 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
   int written = 0;
   for (;;) {
     const int level = work->level;
+    add_cell(work, tables, level, 1, lane);
     if (level == LAST_ARRANGEMENT) {
       for (int f = 0; f < last->faces; ++f) {
-        Face face;
         const int start = written;
         int e = last->face[f];
-        leader_measure_face(last, e, &tables->face[0]);
-        face = tables->face[0];
+        work->face = leader_measure_face(last, e);
+        COMPENSATED_ADD(number, work->area, work->area_error, work->face.absolute_area);
+        next_lines(work, tables, HIDDEN - 1, lane);
         do {
           if (written < corner_capacity) {
             corners[2 * written] = last->x[last->edge[e].origin];
@@ -51,11 +55,8 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
           ++written;
         } while (e != last->face[f]);
         if (cells < cell_capacity) {
-          work->mean_x = face.mean_x;
-          work->mean_y = face.mean_y;
-          next_lines(work, tables, HIDDEN - 1, lane);
           first_corner[cells] = start;
-          areas[cells] = face.area;
+          areas[cells] = work->face.area;
           for (int j = 0; j < channels; ++j) {
             __global number *function = affine + (cells * channels + j) * 3;
             function[0] = ldexp(outputs->a[j], (int)exponent[j]);
@@ -74,6 +75,6 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
   }
   counts[0] = cells;
   counts[1] = written;
-  counts[2] = 0;
-  for (int k = 0; k < ARRANGEMENTS; ++k) counts[2] |= work->arrangement[k].failed;
+  for (int j = 0; j < channels; ++j) tables->output[j] = 0;
+  counts[2] = leader_verdict(work, tables);
 }

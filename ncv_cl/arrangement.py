@@ -40,17 +40,15 @@ class Capacities:
         )
 
 
-def capacities(widths: Sequence[int], method: str) -> Capacities:
-    """Bounds that hold for every arrangement of a network; `widths` as for `Integrator`."""
-    layers = arrangement_layers(widths, method)
+def capacities(widths: Sequence[int], method: str) -> list[Capacities]:
+    """Bounds of each arrangement of a network, one at least; `widths` as for `Integrator`."""
+    bounds = []
     corners = 4
-    largest = Capacities.of(0, corners)
-    for lines in layers:
+    for lines in arrangement_layers(widths, method) or (0,):
+        bounds.append(Capacities.of(lines, corners))
         # A cell of the next arrangement has at most one side on each line so far.
-        bound = Capacities.of(lines, corners)
-        largest = Capacities(*map(max, zip(vars(largest).values(), vars(bound).values(), strict=True)))
         corners += lines
-    return largest
+    return bounds
 
 
 def arrangement_layers(widths: Sequence[int], method: str) -> tuple[int, ...]:
@@ -76,6 +74,10 @@ def shape_constants(widths: Sequence[int], method: str, vector: int) -> dict[str
     """
     hidden = len(widths) - 2
     bounds = capacities(widths, method)
+
+    def most(name: str) -> int:
+        return max(getattr(bound, name) for bound in bounds)
+
     strides = [_round_up(width, vector) for width in widths[1:]]
     matrices = [inputs * stride for inputs, stride in zip(widths, strides, strict=False)]
     lines = strides[: max(1, hidden)]
@@ -92,12 +94,12 @@ def shape_constants(widths: Sequence[int], method: str, vector: int) -> dict[str
         "LINE_LAYERS": len(lines),
         "MOMENT_STRIDE": strides[max(0, hidden - 1)],
         "OUTPUT_STRIDE": strides[-1],
-        "MAX_CORNERS": bounds.corners,
-        "MAX_VERTICES": _round_up(bounds.vertices, max(vector, VERTEX_PADDING)),
+        "CORNER_BOUNDS": _list(bound.corners for bound in bounds),
+        "MAX_VERTICES": _round_up(most("vertices"), max(vector, VERTEX_PADDING)),
         # The walk asks for room for four; at the border it needs three.
-        "MAX_HALF_EDGES": bounds.half_edges + 1,
-        "MAX_FACES": bounds.faces,
-        "MAX_TRIANGLES": bounds.triangles,
+        "MAX_HALF_EDGES": most("half_edges") + 1,
+        "MAX_FACES": most("faces"),
+        "MAX_TRIANGLES": most("triangles"),
     }
 
 

@@ -2,83 +2,39 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
 from .arrangement import robust_shape_constants, shape_constants
+from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
 from .device import Device, HostArray, widest_vectors
-from .program import Kernel, Program, build, device_defines
+from .integration_stage import ROBUST_FILES, ArrangementStage, ClippingStage, Constants, Networks
+from .program import device_defines
 
 METHODS = ("decoupled", "full")
-PRECISIONS = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
 MAX_HIDDEN_LAYERS = 4
 MAX_WIDTH = 128
+# Steeper than any leaky relu; a few layers of it do not leave the range of single precision.
+MOST_SLOPE = 1e4
 
-# |sum of absolute areas - 1| beyond which a point is done again on the robust path.
-AREA_TOLERANCE = {"float32": 1e-5, "float64": 1e-12}
 # Below this a product of two differences is replaced, so that 0 / 0 and underflow cannot arise.
 TINY = {"float32": "1e-37f", "float64": "1e-300"}
 # Triangles that are summed before the sum is added, compensated, to the total.
 TRIANGLES_A_SUM = 16
-# Groups on a GPU: enough to hide latencies, few enough to keep their tables in the cache.
-GROUPS_PER_COMPUTE_UNIT = 8
 # One launch; bounds the list of points to be done again.
 POINTS_A_LAUNCH = 1 << 20
-# A group pops so many points at most from the queue at once.
-LONGEST_RUN = 16
-# Local memory every GPU has; a workspace beyond it goes to global memory.
-LOCAL_BYTES = 48 * 1024
 SCRATCH_BYTES = 256 << 20
-ROBUST_FILES = ("common", "number", "integrate_robust")
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """What a call did.
-
-    Attributes
-    ----------
-    points : int
-        Networks integrated.
-    faces : int
-        Faces of the last arrangements, over all points: of the last hidden layer but one for
-        ``decoupled``, of the last one for ``full``.
-    robust_points : int
-        Points whose faces did not add up to the unit square and that were done again on the robust path.
-    uncertified_points : int
-        Points that failed there as well: their value is not finite in this precision.
-    scratch_bytes : int
-        Device memory held for work-groups and lists; it does not grow with the number of points.
-    """
-
-    points: int = 0
-    faces: int = 0
-    robust_points: int = 0
-    uncertified_points: int = 0
-    scratch_bytes: int = 0
-
-    def __add__(self, other: Statistics) -> Statistics:
-        return Statistics(
-            self.points + other.points,
-            self.faces + other.faces,
-            self.robust_points + other.robust_points,
-            self.uncertified_points + other.uncertified_points,
-            max(self.scratch_bytes, other.scratch_bytes),
-        )
-
-
-@dataclass(frozen=True)
-class _Robust:
-    kernel: Kernel
-    groups: int
-    tables: cl.Buffer
 
 
 class Integrator:
     """Integrates networks of one shape; parameters and results stay on the device.
+
+    Every point certifies itself (`Statistics` has the reasons). One that does not is done again by
+    arrangements in double precision, if it was single and the device has double; then by cutting
+    polygons. Calls of one object from several threads wait for each other.
 
     Parameters
     ----------
@@ -89,15 +45,15 @@ class Integrator:
         For each layer whether its array has a leading points axis.
     method : {"decoupled", "full"}
     precision : {"float32", "float64"}
-        Type of all arrays and of the arithmetic.
+        Type of all arrays, and of the arithmetic of certified points.
     negative_slope : float
         0 for relu, else leaky relu.
     write_moments : bool
         Also write the integrals of the last hidden layer's neurons.
+    write_bounds : bool
+        Also write a bound of the error of every integral.
     scratch_bytes : int
         Device memory for work-groups; fewer groups run where it is short.
-    area_tolerance : float, optional
-        Certification: largest accepted deviation of the faces' total area from 1.
 
     Raises
     ------
@@ -118,8 +74,8 @@ class Integrator:
         precision: str = "float32",
         negative_slope: float = 0.0,
         write_moments: bool = False,
+        write_bounds: bool = False,
         scratch_bytes: int = SCRATCH_BYTES,
-        area_tolerance: float | None = None,
     ) -> None:
         self.device = device
         self.widths = tuple(int(width) for width in widths)
@@ -131,33 +87,53 @@ class Integrator:
         self.method = method
         self.precision = precision
         self.dtype = PRECISIONS[precision]
+        # Rounded as the arrays are: a point has one slope, in whatever precision it is done.
+        self.negative_slope = float(self.dtype.type(negative_slope))
         self.write_moments = write_moments
+        self.write_bounds = write_bounds
         self.per_point_weights = _one_each(per_point_weights, self.layers, "per_point_weights")
         self.per_point_biases = _one_each(per_point_biases, self.layers, "per_point_biases")
-        self._defines = self._constants(negative_slope, area_tolerance)
-        self._files = self._kernel_files()
-        self._allocate(scratch_bytes)
-        self._robust: _Robust | None = None
+        self._scratch_bytes = scratch_bytes
+        step = () if self.layers == 1 else (f"integrate_{method}",)
+        self._files = (
+            "common",
+            "number",
+            "dcel",
+            "integrate_network",
+            "integrate_check",
+            *step,
+            "integrate",
+        )
+        self._arrangement = ArrangementStage(
+            device, self._files, self._constants(precision), scratch_bytes
+        )
+        self._again: ArrangementStage | None = None
+        self._clipping: ClippingStage | None = None
+        size = 4 * POINTS_A_LAUNCH
+        self._lists = [cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size=size)]
+        self.scratch_bytes = self._arrangement.scratch_bytes + size
+        self._lock = threading.Lock()
 
-    def _kernel_files(self) -> tuple[str, ...]:
-        step = () if self.layers == 1 else (f"integrate_{self.method}",)
-        return ("common", "number", "dcel", "integrate_network", *step, "integrate")
-
-    def _constants(self, negative_slope: float, area_tolerance: float | None) -> dict[str, int | str]:
-        """The `-D` constants of the kernels."""
+    def _constants(self, precision: str, *, for_single: bool = False) -> Constants:
+        """The `-D` constants of arrangements in `precision`; `for_single`: of listed single points."""
         device = self.device
-        suffix = "f" if self.precision == "float32" else ""
-        tolerance = AREA_TOLERANCE[self.precision] if area_tolerance is None else area_tolerance
-        constants = shape_constants(self.widths, self.method, device.vector_width * device.lanes)
+        vec = min(device.vector_width, widest_vectors(device.cl_device, PRECISIONS[precision].itemsize))
+        constants: Constants = shape_constants(self.widths, self.method, vec * device.lanes)
+        constants |= certificate_constants(
+            self.widths, precision, self.negative_slope, for_single=for_single
+        )
+        suffix = "f" if precision == "float32" else ""
         constants |= {
             "METHOD_FULL": int(self.method == "full"),
             "WRITE_MOMENTS": int(self.write_moments),
-            "LEAKY": int(negative_slope != 0),
-            "NEGATIVE_SLOPE": f"{float(negative_slope)!r}{suffix}",
-            "DOUBLE": int(self.precision == "float64"),
-            "VEC": min(device.vector_width, widest_vectors(device.cl_device, self.dtype.itemsize)),
-            "AREA_TOLERANCE": f"{float(tolerance)!r}{suffix}",
-            "TINY": TINY[self.precision],
+            "WRITE_BOUND": int(self.write_bounds),
+            "LEAKY": int(self.negative_slope != 0),
+            "NEGATIVE_SLOPE": f"{self.negative_slope!r}{suffix}",
+            "DOUBLE": int(precision == "float64"),
+            "SINGLE_ARRAYS": int(for_single),
+            "LISTED": int(for_single),
+            "VEC": vec,
+            "TINY": TINY[precision],
             "TRIANGLES_A_SUM": TRIANGLES_A_SUM,
             "SPACE": "__global",
             "WORK_IS_LOCAL": 0,
@@ -168,34 +144,15 @@ class Integrator:
             constants[f"PER_POINT_BIASES_{k}"] = int(used and self.per_point_biases[k])
         return constants
 
-    def _allocate(self, scratch_bytes: int) -> None:
-        device = self.device
-        program = build(device, self._files, self._defines)
-        work_bytes, table_bytes = _memory(program, "integrate_memory")
-        local_bytes = min(LOCAL_BYTES, device.cl_device.local_mem_size)
-        if device.lanes > 1 and work_bytes + 64 <= local_bytes:
-            self._defines |= {"SPACE": "__local", "WORK_IS_LOCAL": 1}
-            program = build(device, self._files, self._defines)
-            work_bytes = 0
-        self._kernel = program.kernel("integrate")
-        group_bytes = work_bytes + table_bytes
-        available = min(scratch_bytes, device.cl_device.max_mem_alloc_size)
-        if group_bytes > available:
-            raise MemoryError(
-                f"one work-group needs {group_bytes} bytes for widths {self.widths} and method "
-                f"{self.method!r}, but only {available} are available on {device.name}: raise "
-                "scratch_bytes, or use a narrower network"
-            )
-        units = device.cl_device.max_compute_units
-        wanted = units if device.lanes == 1 else units * GROUPS_PER_COMPUTE_UNIT
-        self.groups = max(1, min(wanted, available // group_bytes))
-        flags = cl.mem_flags.READ_WRITE
-        self._work = cl.Buffer(device.context, flags, size=max(64, self.groups * work_bytes))
-        self._tables = cl.Buffer(device.context, flags, size=self.groups * table_bytes)
-        self._retry = cl.Buffer(device.context, flags, size=4 * POINTS_A_LAUNCH)
-        self._counters = HostArray(device, 2, np.int32)
-        self._faces = HostArray(device, self.groups, np.uint64)
-        self.scratch_bytes = self.groups * group_bytes + 4 * POINTS_A_LAUNCH
+    def _robust_constants(self) -> Constants:
+        """The `-D` constants of the clipping path, which is in double precision where there is one."""
+        constants = self._constants(self.precision) | robust_shape_constants(self.widths)
+        tolerance = str(constants["AREA_TOLERANCE"])
+        in_double = self.device.has_float64
+        return constants | {
+            "ROBUST_DOUBLE": int(in_double),
+            "ROBUST_AREA_TOLERANCE": tolerance.rstrip("f") if in_double else tolerance,
+        }
 
     def run(
         self,
@@ -205,6 +162,7 @@ class Integrator:
         begin: int = 0,
         end: int | None = None,
         moments: HostArray | None = None,
+        bounds: HostArray | None = None,
     ) -> Statistics:
         """Integrate the networks of points [begin, end).
 
@@ -222,104 +180,98 @@ class Integrator:
             `end` defaults to the number of rows of `out`.
         moments : HostArray, optional
             (points, last hidden width), needed with `write_moments`.
+        bounds : HostArray, optional
+            (points, channels), needed with `write_bounds`.
+
+        Raises
+        ------
+        ValueError
+            Arrays of another shape or type, or a range outside of them.
+        DeviceError
+            The device's runtime did not finish all points.
         """
-        self._check_arrays(weights, biases, out, moments)
+        self._check_arrays(weights, biases, out, moments, bounds)
         end = out.shape[0] if end is None else end
         if not 0 <= begin <= end <= out.shape[0]:
             raise ValueError(f"range [{begin}, {end}) is not within the {out.shape[0]} points of out")
+        networks = Networks(
+            [array for pair in zip(weights, biases, strict=True) for array in pair],
+            [array for array in (out, moments, bounds) if array is not None],
+        )
         statistics = Statistics(scratch_bytes=self.scratch_bytes)
-        for first in range(begin, end, POINTS_A_LAUNCH):
-            last = min(end, first + POINTS_A_LAUNCH)
-            statistics += self._launch(weights, biases, out, first, last, moments)
+        with self._lock:
+            for first in range(begin, end, POINTS_A_LAUNCH):
+                statistics += self._launch(first, min(end, first + POINTS_A_LAUNCH), networks)
         return statistics
 
-    def _launch(
-        self,
-        weights: Sequence[HostArray],
-        biases: Sequence[HostArray],
-        out: HostArray,
-        begin: int,
-        end: int,
-        moments: HostArray | None,
-    ) -> Statistics:
-        groups = min(self.groups, end - begin)
-        run = max(1, min(LONGEST_RUN, (end - begin) // (groups * 16)))
-        self._counters.fill(0)
-        self._faces.fill(0)
-        parameters = [array for pair in zip(weights, biases, strict=True) for array in pair]
-        written = [moments] if self.write_moments else []
-        self._kernel(
-            groups * self.device.lanes,
-            begin,
-            end,
-            run,
-            self._counters,
-            self._retry,
-            self._faces,
-            out,
-            *written,
-            self._work,
-            self._tables,
-            *parameters,
-            group=self.device.lanes,
-        )
-        failed = int(self._counters.read()[1])
-        return Statistics(
+    def _launch(self, begin: int, end: int, networks: Networks) -> Statistics:
+        """One launch, and what it leaves to be done again."""
+        counted = self._arrangement.run(begin, end, networks, self._lists[0])
+        found = Statistics(
             points=end - begin,
-            faces=int(self._faces.read().sum()),
-            robust_points=failed,
-            uncertified_points=self._redo(failed, parameters, [out, *written]) if failed else 0,
+            faces=counted["faces"],
+            scratch_bytes=self.scratch_bytes,
+            **{reason: counted[reason] for reason in REASONS},
         )
+        count = counted["retry"]
+        return found + self._do_again(count, networks) if count else found
 
-    def _redo(self, count: int, parameters: list[HostArray], outputs: list[HostArray]) -> int:
-        """Do the first `count` points of the retry list on the robust path; returns how many fail."""
-        if self.layers == 1:
+    def _do_again(self, count: int, networks: Networks) -> Statistics:
+        """The first `count` points of the list, by the stages that are left."""
+        context, flags = self.device.context, cl.mem_flags.READ_WRITE
+        if len(self._lists) == 1:
+            self._lists.append(cl.Buffer(context, flags, size=4 * POINTS_A_LAUNCH))
+        points, failed = self._lists
+        done = 0
+        if self.precision == "float32" and self.device.has_float64:
+            left = self._in_double().run(0, count, networks, failed, [points])["retry"]
+            done, count = count - left, left
+            points, failed = failed, points
+        clipped = count if self.layers > 1 else 0
+        if clipped:
             # Without hidden layers there is nothing to cut: the value itself is not finite.
-            return count
-        robust = self._robust or self._build_robust()
-        self._counters.fill(0)
-        robust.kernel(
-            min(robust.groups, count),
-            count,
-            self._counters,
-            self._retry,
-            *outputs,
-            robust.tables,
-            *parameters,
-            group=1,
+            count = self._by_clipping().run(count, networks, failed, points)
+            points = failed
+        return Statistics(
+            float64_points=done,
+            clipped_points=clipped,
+            uncertified=tuple(sorted(self._first_of(points, count))),
         )
-        return int(self._counters.read()[1])
 
-    def _build_robust(self) -> _Robust:
+    def _in_double(self) -> ArrangementStage:
         """Built when the first point needs it, which most calls never do."""
-        program = build(self.device, ROBUST_FILES, self._robust_constants())
-        table_bytes = _memory(program, "robust_memory")[0]
-        groups = max(1, min(self.device.cl_device.max_compute_units, SCRATCH_BYTES // table_bytes))
-        tables = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, size=groups * table_bytes)
-        self._robust = _Robust(program.kernel("integrate_robust"), groups, tables)
-        return self._robust
+        if self._again is None:
+            constants = self._constants("float64", for_single=True)
+            self._again = ArrangementStage(self.device, self._files, constants, self._scratch_bytes)
+        return self._again
 
-    def _robust_constants(self) -> dict[str, int | str]:
-        in_double = self.device.has_float64
-        tolerance = repr(AREA_TOLERANCE[self.precision])
-        constants = self._defines | robust_shape_constants(self.widths)
-        return constants | {
-            "ROBUST_DOUBLE": int(in_double),
-            "ROBUST_AREA_TOLERANCE": tolerance if in_double else tolerance + "f",
-        }
+    def _by_clipping(self) -> ClippingStage:
+        """Built when the first point needs it."""
+        if self._clipping is None:
+            self._clipping = ClippingStage(self.device, self._robust_constants(), SCRATCH_BYTES)
+        return self._clipping
 
-    def programs(self) -> list[tuple[tuple[str, ...], dict[str, int | str]]]:
-        """Files and `-D` constants of every program this object may build."""
-        defines = device_defines(self.device) | self._defines
-        programs = [(self._files, defines)]
+    def _first_of(self, points: cl.Buffer, count: int) -> list[int]:
+        """The first `count` numbers of a list on the device."""
+        found = np.empty(count, np.int32)
+        if count:
+            cl.enqueue_copy(self.device.queue, found, points)
+        return found.tolist()
+
+    def programs(self) -> list[tuple[tuple[str, ...], Constants]]:
+        """Files and `-D` constants of every program this object may build, the first one's first."""
+        defines: Constants = dict(device_defines(self.device))
+        programs = [(self._files, defines | self._arrangement.constants)]
+        if self.precision == "float32" and self.device.has_float64:
+            programs.append((self._files, defines | self._constants("float64", for_single=True)))
         if self.layers > 1:
-            programs.append((ROBUST_FILES, device_defines(self.device) | self._robust_constants()))
+            programs.append((ROBUST_FILES, defines | self._robust_constants()))
         return programs
 
     @property
     def workspace_is_local(self) -> bool:
         """Whether the arrangements lie in local memory (GPUs, where they fit)."""
-        return bool(self._defines["WORK_IS_LOCAL"])
+        return bool(self._arrangement.constants["WORK_IS_LOCAL"])
 
     def _check_arrays(
         self,
@@ -327,6 +279,7 @@ class Integrator:
         biases: Sequence[HostArray],
         out: HostArray,
         moments: HostArray | None,
+        bounds: HostArray | None,
     ) -> None:
         if len(weights) != self.layers or len(biases) != self.layers:
             raise ValueError(
@@ -341,10 +294,16 @@ class Integrator:
             expected.append((f"weights[{k}]", weights[k], leading + matrix))
             leading = (points,) if self.per_point_biases[k] else ()
             expected.append((f"biases[{k}]", biases[k], leading + matrix[:1]))
-        if self.write_moments:
-            if moments is None:
-                raise ValueError("write_moments needs an array for the moments")
-            expected.append(("moments", moments, (points, self.widths[-2])))
+        for name, array, wanted, columns in (
+            ("moments", moments, self.write_moments, self.widths[-2]),
+            ("bounds", bounds, self.write_bounds, self.widths[-1]),
+        ):
+            if wanted != (array is not None):
+                raise ValueError(
+                    f"write_{name} is {wanted}, so `{name}` must be {'given' if wanted else 'None'}"
+                )
+            if array is not None:
+                expected.append((name, array, (points, columns)))
         for name, array, shape in expected:
             if array.shape != shape or array.dtype != self.dtype:
                 raise ValueError(
@@ -371,8 +330,10 @@ def check_options(method: str, precision: str, negative_slope: float, device: De
         raise ValueError(f"precision must be one of {tuple(PRECISIONS)}, is {precision!r}")
     if precision == "float64" and not device.has_float64:
         raise ValueError(f"{device.name} has no double precision: use precision='float32'")
-    if not np.isfinite(negative_slope):
-        raise ValueError(f"negative_slope must be finite, is {negative_slope}")
+    if not abs(negative_slope) <= MOST_SLOPE:
+        raise ValueError(
+            f"negative_slope must be between -{MOST_SLOPE:g} and {MOST_SLOPE:g}, is {negative_slope}"
+        )
 
 
 def _one_each(flags: Sequence[bool] | bool, layers: int, name: str) -> tuple[bool, ...]:
@@ -381,11 +342,3 @@ def _one_each(flags: Sequence[bool] | bool, layers: int, name: str) -> tuple[boo
     if len(flags) != layers:
         raise ValueError(f"{name} needs one flag a layer ({layers}), got {len(flags)}")
     return tuple(bool(flag) for flag in flags)
-
-
-def _memory(program: Program, kernel: str) -> list[int]:
-    """Bytes of what a group keeps in memory, from the kernels' own sizeof."""
-    sizes = HostArray(program.device, 2, np.int32)
-    sizes.fill(0)
-    program.kernel(kernel)(1, sizes, group=1)
-    return sizes.read().tolist()

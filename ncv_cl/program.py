@@ -63,7 +63,8 @@ def option_list(defines: Mapping[str, int | str]) -> list[str]:
 class Kernel:
     """A kernel with its scalar argument types, taken from its own signature.
 
-    One object belongs to one host thread: OpenCL kernels hold their arguments.
+    Threads may share one: OpenCL kernels hold their arguments, so a call sets them and enqueues under a
+    lock. `bind` and `repeat` are two calls, for a kernel that nobody else has (`Program.own_kernel`).
     """
 
     def __init__(self, device: Device, kernel: cl.Kernel) -> None:
@@ -78,6 +79,7 @@ class Kernel:
             types.append(None if type_name.endswith("*") else _SCALAR_TYPES[type_name])
         kernel.set_scalar_arg_dtypes(types)
         self._kernel = kernel
+        self._lock = threading.Lock()
 
     def __call__(
         self,
@@ -95,7 +97,8 @@ class Kernel:
         if 0 in rounded:
             return None
         plain = [a.buffer if isinstance(a, HostArray) else a for a in arguments]
-        return self._kernel(self.device.queue, rounded, groups, *plain)
+        with self._lock:
+            return self._kernel(self.device.queue, rounded, groups, *plain)
 
     def bind(self, *arguments: Any) -> None:
         """Set all arguments, for `repeat`."""
@@ -134,9 +137,8 @@ class Program:
         self._kernels: dict[str, Kernel] = {}
 
     def kernel(self, name: str) -> Kernel:
-        if name not in self._kernels:
-            self._kernels[name] = self.own_kernel(name)
-        return self._kernels[name]
+        # Two threads may both make one; setdefault has them go on with the same.
+        return self._kernels.get(name) or self._kernels.setdefault(name, self.own_kernel(name))
 
     def own_kernel(self, name: str) -> Kernel:
         """A kernel that nobody else has, for arguments that are to stay."""

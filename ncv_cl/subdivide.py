@@ -11,11 +11,14 @@ import OpenImageIO as oiio
 import pyopencl as cl
 
 from .choose import choose_device
+from .clip import Cell, clipped_cells
 from .device import Device, HostArray, open_device
-from .integrate import plain_arrays
-from .integrator import Integrator
+from .integrate import activation_slope, plain_arrays
+from .integrator import Integrator, check_options
 from .program import build
 
+# A face must be wider than so many roundings of its corners.
+SLIVER_ROUNDINGS = 8
 # Light to dark as layers go deeper; the border of the square is black.
 LAYER_COLOURS = np.array([[0, 0, 0], [20, 20, 20], [200, 40, 40], [240, 140, 20], [250, 220, 90]])
 # Anchors of the face colours, from the lowest value to the highest (after matplotlib's viridis).
@@ -91,14 +94,18 @@ def subdivide(
     ------
     ValueError
         As `integrate`; also if an array has a points axis.
-    ArithmeticError
-        Rounding produced more cells than lines can cut; float64 helps.
+
+    Notes
+    -----
+    The subdivision certifies itself as `integrate` does. Where rounding in single precision leads a
+    line astray it is made in double precision, where that happens in double, by cutting polygons on
+    the host. Faces that are thinner than rounding are left out: those that lines through one point, or
+    equal ones, leave behind.
     """
     device = choose_device(device)
     precision = precision or ("float64" if device.has_float64 else "float32")
-    if activation not in ("relu", "leaky_relu"):
-        raise ValueError(f"activation must be 'relu' or 'leaky_relu', is {activation!r}")
-    slope = float(negative_slope) if activation == "leaky_relu" else 0.0
+    slope = activation_slope(activation, negative_slope)
+    check_options("full", precision, slope, device)
     # One network is one work-item's work.
     single = open_device(device.cl_device, device.index, device.vector_width, 1, device.use_fma)
     dtype = np.dtype(np.float64 if precision == "float64" else np.float32)
@@ -112,14 +119,77 @@ def subdivide(
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype)
         affine = np.concatenate([weights[0], biases[0][:, None]], 1)[None]
         return _assemble(np.array([0]), np.ones(1), affine, corners, np.zeros(4, np.int32))
-    integrator = Integrator(single, widths, method="full", precision=precision, negative_slope=slope)
-    return _assemble(*_emit(single, integrator, weights, biases))
+    return _assemble(*_without_slivers(*_certified(single, widths, precision, slope, weights, biases)))
+
+
+def _certified(
+    device: Device,
+    widths: tuple[int, ...],
+    precision: str,
+    slope: float,
+    weights: list[np.ndarray],
+    biases: list[np.ndarray],
+) -> tuple[np.ndarray, ...]:
+    """The cells in the precision asked for, else in double, else by cutting polygons."""
+    double = ("float64",) if precision == "float32" and device.has_float64 else ()
+    for one in (precision, *double):
+        integrator = Integrator(device, widths, method="full", precision=one, negative_slope=slope)
+        cells = _emit(
+            device,
+            integrator,
+            [array.astype(integrator.dtype) for array in weights],
+            [array.astype(integrator.dtype) for array in biases],
+        )
+        if cells is not None:
+            return cells
+    return _joined(list(clipped_cells(weights, biases, slope)))
+
+
+def _joined(cells: list[Cell]) -> tuple[np.ndarray, ...]:
+    """Clipped cells as the kernel writes them."""
+    sizes = [len(cell.corners) for cell in cells]
+    areas = []
+    for cell in cells:
+        x, y = (cell.corners - cell.corners[0]).T
+        areas.append(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    return (
+        np.cumsum([0, *sizes[:-1]]),
+        np.array(areas),
+        np.stack([cell.affine for cell in cells]),
+        np.concatenate([cell.corners for cell in cells]),
+        np.concatenate([cell.layers for cell in cells]),
+    )
+
+
+def _without_slivers(
+    first_corner: np.ndarray,
+    area: np.ndarray,
+    affine: np.ndarray,
+    corners: np.ndarray,
+    layers: np.ndarray,
+) -> tuple[np.ndarray, ...]:
+    """Drop faces that are thinner than the rounding of their corners; see `_emit` for the arrays."""
+    sizes = np.diff([*first_corner, len(corners)])
+    low = np.minimum.reduceat(corners, first_corner)
+    high = np.maximum.reduceat(corners, first_corner)
+    thinnest = SLIVER_ROUNDINGS * np.finfo(corners.dtype).eps * np.max(high - low, axis=1)
+    keep = area > thinnest
+    kept = np.repeat(keep, sizes)
+    first_corner = np.cumsum([0, *sizes[keep][:-1]])
+    return first_corner, area[keep], affine[keep], corners[kept], layers[kept]
 
 
 def _emit(
     device: Device, integrator: Integrator, weights: list[np.ndarray], biases: list[np.ndarray]
-) -> tuple[np.ndarray, ...]:
-    """Run the traversal twice: to count, then to write."""
+) -> tuple[np.ndarray, ...] | None:
+    """Run the traversal twice: to count, then to write.
+
+    Returns
+    -------
+    tuple of array, or None if the subdivision does not certify itself
+        First corner and area of each cell, affine functions (cells, channels, 3), corners (n, 2), and
+        the layer of the side that starts at each corner.
+    """
     files, defines = integrator.programs()[0]
     strides = [int(stride) for stride in str(defines["STRIDES"]).split(",")]
     # The output layer's affine functions are one more layer of lines.
@@ -146,11 +216,9 @@ def _emit(
         program.kernel("subdivide")(
             1, counts, cells, corners, *outputs, work, tables, *parameters, group=1
         )
-        cells, corners, failed = (int(count) for count in counts.read())
-        if failed:
-            raise ArithmeticError(
-                "rounding produced more cells than lines can cut: use precision='float64'"
-            )
+        cells, corners, doubt = (int(count) for count in counts.read())
+        if doubt:
+            return None
     return tuple(array.read() for array in outputs)
 
 

@@ -18,13 +18,13 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PA
 KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
-    "arrangement device image scene_data scene_geometry scene_table",
+    "arrangement certificate clip device image scene_data scene_geometry scene_table",
     "program scene",
     "sampler trace",
     "points",
     "integrands",
     "shadow shaft",
-    "encode warp",
+    "encode integration_stage warp",
     "samples",
     "guide",
     "paths",
@@ -78,7 +78,7 @@ USERS = {
 # A floating-point literal without an f.
 DOUBLE = re.compile(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?![\w.])")
 # Drivers whose kernel file bears another name than theirs.
-OTHER_KERNEL = {"integrator": "integrate", "network": "mlp", "probe": "mlp"}
+OTHER_KERNEL = {"integration_stage": "integrate_robust", "network": "mlp", "probe": "mlp"}
 
 
 def imports(module: str) -> set[str]:

@@ -21,8 +21,8 @@ from ncv_cl import (
     program,
     render,
 )
+from ncv_cl.certificate import AREA_TOLERANCE
 from ncv_cl.device import GPU_LANES, Device, open_device
-from ncv_cl.integrator import AREA_TOLERANCE
 from ncv_cl.presets import PRESETS
 from ncv_cl.sampler import SAMPLERS
 from ncv_cl.subdivide import subdivide

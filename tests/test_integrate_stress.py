@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rational import exact_integral, hard_networks, point_network, random_network, relative_errors
+from rational import hard_networks, point_network, random_network, relative_errors
 
 from ncv_cl.integrate import integrate
 from ncv_cl.integrator import METHODS
@@ -58,40 +58,25 @@ def _mangle(rng, network, decades):
     return network
 
 
-def evaluation_rounding(weights, biases):
-    """What single precision loses in the last hidden layer's values alone, on the same relative scale.
-
-    Where large products cancel, z = Σ w h + b is off by an ulp of its terms and not of itself: no
-    integration of z, however exact, can do better. Terms are averaged over a grid, where z > 0.
-    """
-    centres = (np.arange(64) + 0.5) / 64
-    h = np.stack(np.meshgrid(centres, centres)).reshape(2, -1)
-    *hidden, last = [
-        (w.astype(float), b.astype(float)[:, None]) for w, b in zip(weights, biases, strict=True)
-    ]
-    for w, b in hidden[:-1]:
-        h = np.maximum(w @ h + b, 0)
-    w, b = hidden[-1]
-    terms = np.mean((w @ h + b > 0) * (np.abs(w) @ h + np.abs(b)), axis=1)
-    scale = np.array([float(one) for one in exact_integral(weights, biases)[1]])
-    return 4 * 2.0**-24 * np.abs(last[0]) @ terms / np.where(scale > 0, scale, 1)
-
-
-# One shape, so that one program serves all examples; 20 networks an example, 1000 in all.
-@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+# One shape, so that one program serves all examples of 20 networks: a thousand in all, always the same.
+# With `--hypothesis-profile explore` they are others, and more (conftest.py).
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1), decades=st.sampled_from([0.0, 4.0]))
 def test_a_thousand_random_networks(one_device, seed, decades):
     network = random_network((2, 5, 4, 1), 20, seed)
     network = _mangle(np.random.default_rng(seed), network, decades)
-    by_method = [integrate(*network, method=method, device=one_device) for method in METHODS]
-    for point in range(20):
-        weights, biases = point_network(network, point)
-        limit = LIMIT["float32"]
-        # Weights over eight decades cancel as no others do.
-        if decades:
-            limit = limit + evaluation_rounding(weights, biases)
-        for values in by_method:
-            assert np.all(relative_errors(values[point], weights, biases) <= limit)
+    for method in METHODS:
+        values = integrate(*network, method=method, device=one_device)
+        for point, row in enumerate(values):
+            assert relative_errors(row, *point_network(network, point)).max() <= LIMIT["float32"]
+
+
+# Once off by 3.6e-6: what single precision loses where weights over eight decades cancel.
+@pytest.mark.parametrize("method", METHODS)
+def test_cancellation_over_eight_decades(one_device, method):
+    network = _mangle(np.random.default_rng(49420), random_network((2, 5, 4, 1), 20, 49420), 4.0)
+    for point, row in enumerate(integrate(*network, method=method, device=one_device)):
+        assert relative_errors(row, *point_network(network, point)).max() <= LIMIT["float32"]
 
 
 # Tiny faces at a corner beside the rest of the square: interpolation from the far end of an edge, a sum
