@@ -5,6 +5,11 @@ renderer's own inference kernel (cl/mlp.cl, `evaluate`); only the kernel's time 
 neither the samples nor the sums.
 
     python bench/bench_integrate.py [--quick] [--json FILE] [--plot FILE.png]
+
+With `--torture` it only integrates networks that are made to break it, 13,000 a precision (see
+torture.py), and fails if anything that is certified is wrong, or crashes:
+
+    python bench/bench_integrate.py --torture [--quick] [--seeds A,B,C] [--per-family N] [--json FILE]
 """
 
 from __future__ import annotations
@@ -17,13 +22,12 @@ import numpy as np
 from integrate_quadrature import quadrature_table
 from integrate_speed import edge_subdivision_table, memory_table, scaling_table, speed_table
 from rational import hard_networks, point_network, relative_errors
+from torture import LIMIT, torture
 
 from ncv_cl.choose import choose_device
 from ncv_cl.device import Device
 from ncv_cl.integrate import integrate
 from ncv_cl.integrator import METHODS
-
-LIMIT = {"float32": 1e-6, "float64": 1e-13}
 
 
 def stress_table(device: Device) -> list[dict]:
@@ -93,9 +97,21 @@ def main() -> None:
     parser.add_argument(
         "--edge-subdivision", type=Path, metavar="PATH", help="a clone of relu_edge_subdivision"
     )
+    parser.add_argument("--torture", action="store_true", help="only networks that break integration")
+    parser.add_argument(
+        "--seeds", type=_integers, metavar="A,B,C", help="with --torture: other seeds of its networks"
+    )
+    parser.add_argument(
+        "--per-family", type=int, metavar="N", help="with --torture: networks a family, shape and seed"
+    )
     options = parser.parse_args()
     device = choose_device(options.device)
     print(device.describe())
+    if options.torture:
+        found = torture(device, options.quick, options.seeds, options.per_family)
+        if options.json:
+            _write(options.json, {"device": device.identity, "torture": found})
+        raise SystemExit(int(found["failed"]))
     results = {
         "device": device.identity,
         "stress": stress_table(device),
@@ -109,9 +125,17 @@ def main() -> None:
             device, options.edge_subdivision, options.quick
         )
     if options.json:
-        options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        _write(options.json, results)
     if options.plot:
         plot(results, options.plot)
+
+
+def _integers(text: str) -> list[int]:
+    return [int(one) for one in text.split(",")]
+
+
+def _write(path: Path, results: dict) -> None:
+    path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
