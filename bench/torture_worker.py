@@ -127,6 +127,20 @@ class Worker:
             outcome.redone += redone
         return outcome
 
+    @staticmethod
+    def serve(
+        connection: Connection, selector: str | None, shape: tuple[int, int], options: dict
+    ) -> None:
+        """What the process does: integrate every batch that comes, until the connection ends."""
+        device = choose_device(selector)
+        device = open_device(device.cl_device, device.index, *shape, device.use_fma)
+        while True:
+            try:
+                batch = connection.recv()
+            except EOFError:
+                return
+            connection.send(_answer(device, batch, options))
+
     def _ask(self, batch: Network) -> tuple[np.ndarray, np.ndarray | None, Counter]:
         try:
             self._connection.send(batch)
@@ -145,7 +159,9 @@ class Worker:
 
     def _start(self) -> None:
         self._connection, theirs = self._context.Pipe()
-        self._process = self._context.Process(target=serve, args=(theirs, *self._arguments), daemon=True)
+        self._process = self._context.Process(
+            target=self.serve, args=(theirs, *self._arguments), daemon=True
+        )
         self._process.start()
         # Ours alone keeps the pipe open, so that its end tells of the process's.
         theirs.close()
@@ -158,18 +174,6 @@ class Worker:
     def _restart(self) -> None:
         self._stop()
         self._start()
-
-
-def serve(connection: Connection, selector: str | None, shape: tuple[int, int], options: dict) -> None:
-    """What the process does: integrate every batch that comes, until the connection ends."""
-    device = choose_device(selector)
-    device = open_device(device.cl_device, device.index, *shape, device.use_fma)
-    while True:
-        try:
-            batch = connection.recv()
-        except EOFError:
-            return
-        connection.send(_answer(device, batch, options))
 
 
 def _answer(device: Device, batch: Network, options: dict) -> tuple | Exception:
