@@ -80,6 +80,7 @@ def torture(
     programs = programs_for(device, quick)
     batches: dict[tuple[Shape, str], list[Batch]] = {}
     sizes: Counter[str] = Counter()
+    print(f"exact integrals first, which are kept in {cache_folder()}", flush=True)
     with exact_processes() as pool:
         for shape, precision in dict.fromkeys((one.shape, one.precision) for one in programs):
             count = per_family if shape in SHAPES else -(-per_family // FURTHER_SHARE)
