@@ -10,7 +10,7 @@ import inspect
 import multiprocessing
 import signal
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -21,8 +21,9 @@ from ncv_cl.device import Device, open_device
 from ncv_cl.integrate import integrate
 from ncv_cl.integrator import Statistics
 
-# Seconds for one batch, the compiler's included, on a machine that is busy with other things.
-TIME_LIMIT = 90.0
+# Seconds for one batch, the compiler's included, on a machine that is busy with other things; and the
+# share of it for a part of a batch, for which all is compiled.
+TIME_LIMIT, PART_SHARE = 90.0, 1 / 3
 # What `Statistics` counts besides points that needed more than the arrangement.
 NOT_REDONE = ("points", "faces", "scratch_bytes")
 RETURNS_BOUND = "return_bound" in inspect.signature(integrate).parameters
@@ -108,7 +109,8 @@ class Worker:
         while pending:
             part = pending.pop()
             try:
-                values, bounds, redone = self._ask(some_networks(batch, part))
+                limit = self._limit * (1 if part == slice(0, points) else PART_SHARE)
+                values, bounds, redone = self._ask(some_networks(batch, part), limit)
             except (CrashError, RefusedError) as error:
                 crashed = isinstance(error, CrashError)
                 if crashed:
@@ -141,12 +143,12 @@ class Worker:
                 return
             connection.send(_answer(device, batch, options))
 
-    def _ask(self, batch: Network) -> tuple[np.ndarray, np.ndarray | None, Counter]:
+    def _ask(self, batch: Network, limit: float) -> tuple[np.ndarray, np.ndarray | None, Counter]:
         try:
             self._connection.send(batch)
-            if not self._connection.poll(self._limit):
+            if not self._connection.poll(limit):
                 self._restart()
-                raise CrashError(f"no answer after {self._limit:.0f} s")
+                raise CrashError(f"no answer after {limit:.0f} s")
             answer = self._connection.recv()
         except (EOFError, ConnectionError):
             self._process.join()
@@ -186,9 +188,10 @@ def _answer(device: Device, batch: Network, options: dict) -> tuple | Exception:
     except Exception as error:
         return CrashError(f"{type(error).__name__}: {error}")
     statistics = next(one for one in rest if isinstance(one, Statistics))
-    names = [one.name for one in fields(statistics) if one.name not in NOT_REDONE]
+    counts = {name: getattr(statistics, name) for name in ("robust_points", *vars(statistics))}
+    redone = {k: n for k, n in counts.items() if k not in NOT_REDONE and isinstance(n, int)}
     bounds = next((one for one in rest if isinstance(one, np.ndarray)), None)
-    return values, bounds, Counter({name: getattr(statistics, name) for name in names})
+    return values, bounds, Counter(redone)
 
 
 def some_networks(batch: Network, part: slice) -> Network:
