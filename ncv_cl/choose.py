@@ -11,16 +11,19 @@ from .device import Device, DeviceError, list_cl_devices, open_device
 from .probe import Probe, cached_probe, measure
 
 VARIABLE = "NCV_CL_DEVICE"
+_PYOPENCLS_VARIABLE = "PYOPENCL_CTX"
 
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """A device and what the micro-benchmark measured on it."""
+    """A device and what the micro-benchmark measured on it, if it can be used."""
 
     device: Device
-    probe: Probe
+    probe: Probe | None
 
     def __str__(self) -> str:
+        if self.probe is None:
+            return f"{self.device.describe()} | not used: {self.device.problem}"
         how = "fma" if self.probe.use_fma else "multiply-add"
         return f"{self.device.describe()}, {how} | inference {self.probe.nanoseconds:.1f} ns a sample"
 
@@ -35,19 +38,26 @@ class DeviceList(list[DeviceReport]):
 
 
 def all_devices() -> list[Device]:
-    """Every device, opened with its default widths, in the order of their indices."""
+    """Every device that can be used, opened with its default widths, in the order of their indices."""
+    return [device for device in _listed() if device.problem is None]
+
+
+def _listed() -> list[Device]:
+    """The same with those that cannot be used."""
     return [open_device(cl_device, index) for index, cl_device in enumerate(list_cl_devices())]
 
 
 def devices() -> DeviceList:
-    """Every OpenCL device with a fresh micro-benchmark of about a second each.
+    """Every OpenCL device with a fresh micro-benchmark of about a second each, or why it cannot be used.
 
     Raises
     ------
     DeviceError
         If there is none; the message says what to install.
     """
-    return DeviceList(DeviceReport(device, measure(device)) for device in all_devices())
+    return DeviceList(
+        DeviceReport(device, measure(device) if device.problem is None else None) for device in _listed()
+    )
 
 
 def choose_device(selector: Device | int | str | None = None) -> Device:
@@ -64,36 +74,67 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     Raises
     ------
     DeviceError
-        If nothing matches, or a name matches several devices.
+        If nothing matches, a name matches several devices, or the device cannot be used.
     """
     if isinstance(selector, Device):
         return selector
-    found = all_devices()
+    found = _listed()
     if selector is None:
         selector = os.environ.get(VARIABLE) or None
     if selector is not None:
-        return _tuned(_match(found, selector))
-    if os.environ.get("PYOPENCL_CTX"):
-        wanted = cl.create_some_context(interactive=False).devices[0]
-        return _tuned(next(device for device in found if device.cl_device == wanted))
-    gpus = [device for device in found if device.is_gpu]
+        return _tuned(_checked(_match(found, selector)))
+    if os.environ.get(_PYOPENCLS_VARIABLE):
+        return _tuned(_checked(_match_as_pyopencl(found)))
+    usable = [device for device in found if device.problem is None]
+    if not usable:
+        problems = "; ".join(f"{device.name}, {device.problem}" for device in found)
+        raise DeviceError(f"no OpenCL device can be used: {problems}")
+    gpus = [device for device in usable if device.is_gpu]
     if gpus:
         return _tuned(gpus[0])
-    return _tuned(min(found, key=lambda device: cached_probe(device).nanoseconds))
+    return _tuned(min(usable, key=lambda device: cached_probe(device).nanoseconds))
 
 
 def _match(found: list[Device], selector: int | str) -> Device:
     lines = "\n".join(f"  {device.describe()}" for device in found)
     text = str(selector).strip()
-    if text.isdigit():
+    if text.isdecimal():
         if int(text) < len(found):
             return found[int(text)]
         raise DeviceError(f"there is no device {text}; choose among\n{lines}")
-    matches = [device for device in found if text.lower() in device.identity.lower()]
+    matches = [device for device in found if text.lower() in _names(device)]
+    if len(matches) > 1:
+        # What cannot be used is not meant, where there is another of the name.
+        matches = [device for device in matches if device.problem is None] or matches[:1]
     if len(matches) == 1:
         return matches[0]
     problem = "no device matches" if not matches else "more than one device matches"
     raise DeviceError(f"{problem} {text!r}; choose by index or a longer name among\n{lines}")
+
+
+def _names(device: Device) -> str:
+    return f"{device.platform_name} | {device.identity}".lower()
+
+
+def _match_as_pyopencl(found: list[Device]) -> Device:
+    """The device that pyopencl's own variable names."""
+    value = os.environ[_PYOPENCLS_VARIABLE]
+    try:
+        wanted = cl.create_some_context(interactive=False).devices[0]
+        return next(device for device in found if device.cl_device == wanted)
+    # Whatever pyopencl makes of a text that names nothing: its own errors, ValueError, IndexError.
+    except Exception as error:
+        lines = "\n".join(f"  {device.describe()}" for device in found)
+        raise DeviceError(
+            f"{_PYOPENCLS_VARIABLE}={value} names no device ({error}): unset it, or give platform and "
+            f"device as pyopencl counts them, such as 0:0, or set {VARIABLE} to an index of\n{lines}"
+        ) from error
+
+
+def _checked(device: Device) -> Device:
+    if device.problem is not None:
+        raise DeviceError(f"device {device.index}, {device.name}, {device.problem}")
+    return device
 
 
 def _tuned(device: Device) -> Device:

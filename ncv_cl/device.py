@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyopencl as cl
 
+from .runtimes import platforms
+
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA).
 GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate.
@@ -21,11 +23,18 @@ GROUP_SIZE = 64
 _NO_AVX512 = re.compile(r"-(znver[123]|generic|x86-64)$")
 _AVX_BYTES = 32
 
+# LLVM's name for an x86-64 CPU that it does not know; as a target it has none of this name.
+_UNKNOWN_CPU = re.compile(r"x86_64\S*-generic$")
+
 INSTALL_HINT = (
     "no OpenCL device was found. Install a runtime: `pip install 'ncv_cl[pocl]'` brings PoCL for the "
     "CPU without any system package; on Debian and Ubuntu `apt install pocl-opencl-icd` is faster; "
     "GPUs need their vendor's driver with an entry under /etc/OpenCL/vendors "
     "(NVIDIA without one: set OCL_ICD_VENDORS=libnvidia-opencl.so.1)."
+)
+OTHER_RUNTIME_HINT = (
+    "install another runtime: `pip install 'ncv_cl[intel]'` brings Intel's for any x86-64 CPU; on "
+    "Debian and Ubuntu `apt install pocl-opencl-icd` brings a newer PoCL"
 )
 
 
@@ -64,6 +73,10 @@ class Device:
         return self.cl_device.name.strip()
 
     @property
+    def platform_name(self) -> str:
+        return self.cl_device.platform.name.strip()
+
+    @property
     def platform_version(self) -> str:
         return " ".join(self.cl_device.platform.version.split())
 
@@ -88,15 +101,36 @@ class Device:
         """One line for `ncv-cl devices` and for bug reports."""
         kind = "GPU" if self.is_gpu else "CPU" if self.is_cpu else "device"
         return (
-            f"[{self.index}] {kind} {self.name} | {self.platform_version} | "
+            f"[{self.index}] {kind} {self.name} | {self.platform_name}: {self.platform_version} | "
             f"{self.cl_device.max_compute_units} compute units, native float{self.native_vector_width}, "
             f"{self.cl_device.local_mem_size // 1024} KiB local memory | "
             f"VEC {self.vector_width}, LANES {self.lanes}"
         )
 
     @property
+    def problem(self) -> str | None:
+        """Why the device cannot be used, and what to do instead; None where it can."""
+        return _problem(self.cl_device)
+
+    @property
     def native_vector_width(self) -> int:
         return max(1, self.cl_device.native_vector_width_float)
+
+
+@functools.cache
+def _problem(cl_device: cl.Device) -> str | None:
+    """See `Device.problem`; compiles only for a device that has reason to fail."""
+    if not _UNKNOWN_CPU.search(cl_device.version.strip()):
+        return None
+    try:
+        cl.Program(_context(cl_device), "kernel void nothing(void) {}").build()
+    except cl.Error as error:
+        said = re.search("error: .*", str(error))
+        return (
+            "cannot compile for this CPU, which its LLVM does not know yet "
+            f"({said[0] if said else error}); {OTHER_RUNTIME_HINT}"
+        )
+    return None
 
 
 def default_widths(cl_device: cl.Device) -> tuple[int, int]:
@@ -155,7 +189,7 @@ def _context(cl_device: cl.Device) -> cl.Context:
 
 
 def list_cl_devices() -> list[cl.Device]:
-    """Every OpenCL device of every platform, in the loader's order.
+    """Every OpenCL device of every platform, in the loader's order, usable or not.
 
     Raises
     ------
@@ -163,13 +197,13 @@ def list_cl_devices() -> list[cl.Device]:
         If there is no platform or no device; the message says what to install.
     """
     try:
-        platforms = cl.get_platforms()
+        found = [cl_device for platform in platforms() for cl_device in platform.get_devices()]
     except cl.Error as error:
         raise DeviceError(f"{INSTALL_HINT} (the OpenCL loader said: {error})") from error
-    found = [cl_device for platform in platforms for cl_device in platform.get_devices()]
     if not found:
         raise DeviceError(INSTALL_HINT)
-    return found
+    # A runtime that is registered twice gives the same devices twice.
+    return list(dict.fromkeys(found))
 
 
 class HostArray:
