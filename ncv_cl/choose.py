@@ -7,8 +7,16 @@ from dataclasses import dataclass
 
 import pyopencl as cl
 
-from .device import Device, DeviceError, list_cl_devices, open_device
+from .device import (
+    Device,
+    DeviceError,
+    check_process,
+    list_cl_devices,
+    open_device,
+    pocl_version,
+)
 from .probe import Probe, cached_probe, measure
+from .runtimes import INTEL_PLATFORM
 
 VARIABLE = "NCV_CL_DEVICE"
 _PYOPENCLS_VARIABLE = "PYOPENCL_CTX"
@@ -24,8 +32,7 @@ class DeviceReport:
     def __str__(self) -> str:
         if self.probe is None:
             return f"{self.device.describe()} | not used: {self.device.problem}"
-        how = "fma" if self.probe.use_fma else "multiply-add"
-        return f"{self.device.describe()}, {how} | inference {self.probe.nanoseconds:.1f} ns a sample"
+        return f"{self.device.describe()} | inference {self.probe.nanoseconds:.1f} ns a sample"
 
 
 class DeviceList(list[DeviceReport]):
@@ -68,31 +75,46 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     selector : Device, int or str, optional
         A device, an index from `devices()`, or part of a device's or platform's name. Without one:
         the variable ``NCV_CL_DEVICE`` (index or name), then pyopencl's ``PYOPENCL_CTX``, then a GPU if
-        there is one, else the CPU runtime that the micro-benchmark finds fastest (measured once and
-        cached).
+        there is one, else of the CPU runtimes the newest PoCL from 3.1 on, Intel's, an older PoCL, or
+        what there is. No clock decides, so it is the same device every time.
 
     Raises
     ------
     DeviceError
         If nothing matches, a name matches several devices, or the device cannot be used.
     """
+    check_process()
     if isinstance(selector, Device):
         return selector
+    device = _chosen(selector)
+    # Measured when a device is first used rather than in a render, where "auto" weighs by it.
+    cached_probe(device)
+    return device
+
+
+def _chosen(selector: int | str | None) -> Device:
     found = _listed()
     if selector is None:
         selector = os.environ.get(VARIABLE) or None
     if selector is not None:
-        return _tuned(_checked(_match(found, selector)))
+        return _checked(_match(found, selector))
     if os.environ.get(_PYOPENCLS_VARIABLE):
-        return _tuned(_checked(_match_as_pyopencl(found)))
+        return _checked(_match_as_pyopencl(found))
     usable = [device for device in found if device.problem is None]
     if not usable:
         problems = "; ".join(f"{device.name}, {device.problem}" for device in found)
         raise DeviceError(f"no OpenCL device can be used: {problems}")
-    gpus = [device for device in usable if device.is_gpu]
-    if gpus:
-        return _tuned(gpus[0])
-    return _tuned(min(usable, key=lambda device: cached_probe(device).nanoseconds))
+    return max(usable, key=_preference)
+
+
+def _preference(device: Device) -> tuple[int, tuple[int, int]]:
+    """The larger, the faster, as measured on CPUs of several kinds; equals keep the loader's order."""
+    version = pocl_version(device.cl_device)
+    if device.is_gpu:
+        return 4, (0, 0)
+    if version is not None:
+        return (3 if version >= (3, 1) else 1), version
+    return (2 if device.platform_name == INTEL_PLATFORM else 0), (0, 0)
 
 
 def _match(found: list[Device], selector: int | str) -> Device:
@@ -135,9 +157,3 @@ def _checked(device: Device) -> Device:
     if device.problem is not None:
         raise DeviceError(f"device {device.index}, {device.name}, {device.problem}")
     return device
-
-
-def _tuned(device: Device) -> Device:
-    """The same device with `use_fma` as measured."""
-    probe = cached_probe(device)
-    return open_device(device.cl_device, device.index, use_fma=probe.use_fma)

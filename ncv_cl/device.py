@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import pyopencl as cl
 
-from .runtimes import platforms
+from .runtimes import loaded_elsewhere, platforms
 
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA).
 GPU_LANES = 32
@@ -25,6 +27,8 @@ _AVX_BYTES = 32
 
 # LLVM's name for an x86-64 CPU that it does not know; as a target it has none of this name.
 _UNKNOWN_CPU = re.compile(r"x86_64\S*-generic$")
+
+_POCL = re.compile(r"PoCL (\d+)\.(\d+)")
 
 INSTALL_HINT = (
     "no OpenCL device was found. Install a runtime: `pip install 'ncv_cl[pocl]'` brings PoCL for the "
@@ -42,6 +46,38 @@ class DeviceError(RuntimeError):
     """No usable OpenCL device, or the one asked for does not exist."""
 
 
+def check_process() -> None:
+    """Refuse to go on where OpenCL would hang.
+
+    Raises
+    ------
+    DeviceError
+        In a process that was forked from one that had used OpenCL.
+    """
+    if loaded_elsewhere():
+        raise DeviceError(
+            "this process was forked from one that had used OpenCL, whose threads it does not have: "
+            "start processes by multiprocessing's 'spawn' or 'forkserver', or fork before the first "
+            "use of OpenCL"
+        )
+
+
+_Made = TypeVar("_Made")
+
+
+def once(make: Callable[..., _Made]) -> Callable[..., _Made]:
+    """`functools.cache` for what must not be made twice, whichever threads ask at a time."""
+    made, lock = functools.cache(make), threading.RLock()
+
+    @functools.wraps(make)
+    def ask(*arguments: object, **options: object) -> _Made:
+        check_process()
+        with lock:
+            return made(*arguments, **options)
+
+    return ask
+
+
 @dataclass(frozen=True, eq=False)
 class Device:
     """An OpenCL device with its context and in-order queue.
@@ -57,7 +93,9 @@ class Device:
     lanes : int
         LANES: work-items that cooperate on one shading point.
     use_fma : bool
-        Whether `fma` beats `a * b + c` with ``-cl-mad-enable``; the probe measures it.
+        Whether kernels call `fma` or write `a * b + c` with ``-cl-mad-enable``; see `prefers_fma`.
+    context, queue
+        pyopencl's; raise `DeviceError` where `check_process` does.
     """
 
     cl_device: cl.Device
@@ -65,8 +103,18 @@ class Device:
     vector_width: int = 1
     lanes: int = 1
     use_fma: bool = True
-    context: cl.Context = field(repr=False, default=None)
-    queue: cl.CommandQueue = field(repr=False, default=None)
+    _context: cl.Context = field(repr=False, default=None)
+    _queue: cl.CommandQueue = field(repr=False, default=None)
+
+    @property
+    def context(self) -> cl.Context:
+        check_process()
+        return self._context
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        check_process()
+        return self._queue
 
     @property
     def name(self) -> str:
@@ -97,6 +145,12 @@ class Device:
         """A line that tells this device and driver from every other."""
         return f"{self.platform_version} | {self.name} | {self.cl_device.driver_version.strip()}"
 
+    @property
+    def shape(self) -> str:
+        """What kernels are compiled for, beside the device itself."""
+        how = "fma" if self.use_fma else "multiply-add"
+        return f"VEC {self.vector_width}, LANES {self.lanes}, {how}"
+
     def describe(self) -> str:
         """One line for `ncv-cl devices` and for bug reports."""
         kind = "GPU" if self.is_gpu else "CPU" if self.is_cpu else "device"
@@ -104,7 +158,7 @@ class Device:
             f"[{self.index}] {kind} {self.name} | {self.platform_name}: {self.platform_version} | "
             f"{self.cl_device.max_compute_units} compute units, native float{self.native_vector_width}, "
             f"{self.cl_device.local_mem_size // 1024} KiB local memory | "
-            f"VEC {self.vector_width}, LANES {self.lanes}"
+            f"{self.shape}"
         )
 
     @property
@@ -117,7 +171,7 @@ class Device:
         return max(1, self.cl_device.native_vector_width_float)
 
 
-@functools.cache
+@once
 def _problem(cl_device: cl.Device) -> str | None:
     """See `Device.problem`; compiles only for a device that has reason to fail."""
     if not _UNKNOWN_CPU.search(cl_device.version.strip()):
@@ -141,6 +195,25 @@ def default_widths(cl_device: cl.Device) -> tuple[int, int]:
     return (16 if native >= 16 else 8 if native >= 8 else 4), 1
 
 
+def pocl_version(cl_device: cl.Device) -> tuple[int, int] | None:
+    """PoCL's version; None for other runtimes."""
+    found = _POCL.search(cl_device.platform.version)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def prefers_fma(cl_device: cl.Device) -> bool:
+    """Whether ``fma`` is at least as fast on a device as ``a * b + c`` that may be contracted.
+
+    The two differ in the last bit, so what decides is known of the device, never a stopwatch. Measured:
+    to PoCL 3.0 `fma` is a call of a function, at half the speed; PoCL 3.1 and Intel's runtime make an
+    instruction of both; GPUs contract by themselves.
+    """
+    version = pocl_version(cl_device)
+    if version is None or cl_device.type & cl.device_type.GPU:
+        return True
+    return version >= (3, 1) and bool(cl_device.single_fp_config & cl.device_fp_config.FMA)
+
+
 def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
     """The widest VEC of numbers of so many bytes that the device's compiler survives."""
     claims_avx512 = cl_device.native_vector_width_float >= 16
@@ -149,15 +222,15 @@ def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
     return 16
 
 
-@functools.cache
+@once
 def open_device(
     cl_device: cl.Device,
     index: int = 0,
     vector_width: int | None = None,
     lanes: int | None = None,
-    use_fma: bool = True,
+    use_fma: bool | None = None,
 ) -> Device:
-    """Open a device with a context and a queue; VEC and LANES can be set to simulate another shape.
+    """Open a device with a context and a queue; what is given simulates another shape or compiler.
 
     Raises
     ------
@@ -177,13 +250,13 @@ def open_device(
         index,
         vector_width or default_vector_width,
         lanes or default_lanes,
-        use_fma,
+        prefers_fma(cl_device) if use_fma is None else use_fma,
         context,
         cl.CommandQueue(context),
     )
 
 
-@functools.cache
+@once
 def _context(cl_device: cl.Device) -> cl.Context:
     return cl.Context([cl_device])
 
@@ -196,6 +269,7 @@ def list_cl_devices() -> list[cl.Device]:
     DeviceError
         If there is no platform or no device; the message says what to install.
     """
+    check_process()
     try:
         found = [cl_device for platform in platforms() for cl_device in platform.get_devices()]
     except cl.Error as error:

@@ -6,21 +6,36 @@ import functools
 import os
 import shutil
 import tempfile
+import threading
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pyopencl as cl
 
+from .caches import prepare_caches
+
 # The loader that comes with pyopencl; where it looks; the variable that names another folder or file.
 _LOADER = Path(cl.__file__).with_name(".libs")
 _VENDORS = Path("/etc/OpenCL/vendors")
 _VARIABLE = "OCL_ICD_VENDORS"
 _INTEL_PACKAGE, _INTEL_LIBRARY = "intel-opencl-rt", "libintelocl.so"
-_INTEL_PLATFORM = "Intel(R) OpenCL"
+INTEL_PLATFORM = "Intel(R) OpenCL"
 
 
-@functools.cache
+# The process that the runtimes were loaded in, and that has their threads.
+_home: int | None = None
+_lock = threading.Lock()
+
+
+def loaded_elsewhere() -> bool:
+    """Whether this process was forked from one that had loaded OpenCL: then no call may be made.
+
+    Runtimes keep threads, which no fork copies: the next call would wait for them for ever.
+    """
+    return _home is not None and _home != os.getpid()
+
+
 def platforms() -> list[cl.Platform]:
     """Every OpenCL platform; one that is found in the Python environment alone comes last.
 
@@ -33,6 +48,16 @@ def platforms() -> list[cl.Platform]:
     pyopencl.Error
         If there is none.
     """
+    global _home
+    # One thread at a time, as the variable is everybody's.
+    with _lock:
+        _home = os.getpid()
+        return _platforms()
+
+
+@functools.cache
+def _platforms() -> list[cl.Platform]:
+    prepare_caches()
     library = _intel_library()
     if library is None or os.environ.get(_VARIABLE) or not _LOADER.is_dir():
         return cl.get_platforms()
@@ -48,7 +73,7 @@ def platforms() -> list[cl.Platform]:
             found = cl.get_platforms()
         finally:
             os.environ.pop(_VARIABLE, None)
-    return sorted(found, key=lambda platform: platform.name.strip() == _INTEL_PLATFORM)
+    return sorted(found, key=lambda platform: platform.name.strip() == INTEL_PLATFORM)
 
 
 def _intel_library() -> Path | None:

@@ -18,10 +18,11 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PA
 KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
+    "caches",
     "runtimes",
     "arrangement device image scene_data scene_geometry scene_table",
     "program scene",
-    "sampler trace",
+    "sampler trace version",
     "points",
     "integrands",
     "shadow shaft",
