@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, version
+
 from .device import Device
 from .estimate import Estimate
 from .network import Network
@@ -9,7 +11,14 @@ from .points import ShadingPoints
 from .samples import RayCount
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
-from .version import kernel_hash, package_version
+
+
+def package_version() -> str:
+    """The installed version of ncv_cl."""
+    try:
+        return version("ncv_cl")
+    except PackageNotFoundError:
+        return "unpackaged"
 
 
 def seconds_of(watch: Stopwatch, rays: RayCount, total: float) -> dict[str, float]:
@@ -75,7 +84,6 @@ def identity(
     """All that decides an image's bits, by name."""
     return {
         "version": package_version(),
-        "kernels": kernel_hash(),
         "scene": scene.digest,
         "integrand": settings.integrand.name,
         "integrand options": {k: str(v) for k, v in sorted(vars(settings.integrand).items())},
@@ -92,7 +100,7 @@ def identity(
         "skip_dark": settings.skip_dark,
         "visibility": settings.visibility,
         "network": "given" if given_network else "trained",
-        "device": f"{device.identity}, {device.shape}",
+        "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
     }
 
 
