@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -34,6 +35,7 @@ class Probe:
 
 # Of this process, where nothing can be kept in a file.
 _measured: dict[Device, Probe] = {}
+_lock = threading.Lock()
 
 
 def measure(device: Device) -> Probe:
@@ -63,9 +65,11 @@ def measure(device: Device) -> Probe:
 
 def cached_probe(device: Device) -> Probe:
     """The probe of this device and driver, measured once and kept under the user's cache folder."""
-    if device not in _measured:
-        _measured[device] = _kept_probe(device)
-    return _measured[device]
+    # Two threads that measure at once would measure each other.
+    with _lock:
+        if device not in _measured:
+            _measured[device] = _kept_probe(device)
+        return _measured[device]
 
 
 def _kept_probe(device: Device) -> Probe:

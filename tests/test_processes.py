@@ -325,3 +325,63 @@ def test_a_second_signal_ends_at_once(scenes, one_device, tmp_path):
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=PATIENCE)
         assert process.returncode == 0 or process.returncode == -signal.SIGTERM
+
+
+# ---- other systems -----------------------------------------------------------------------------------
+
+ELSEWHERE = """
+import os, signal, sys
+# What Windows or macOS does not have.
+for module, names in {
+    os: ["sched_getaffinity", "sched_setaffinity", "fork", "register_at_fork"],
+    signal: ["SIGHUP", "SIGALRM", "SIGUSR1", "pthread_sigmask", "sigwait"],
+}.items():
+    for name in names:
+        if hasattr(module, name):
+            delattr(module, name)
+for name in ("fcntl", "resource", "termios", "grp", "syslog"):
+    sys.modules[name] = None
+
+real = os.replace
+
+def replace(source, target):
+    # As on Windows, where an open file is neither moved nor replaced.
+    for number in os.listdir("/proc/self/fd"):
+        try:
+            held = os.readlink(f"/proc/self/fd/{number}")
+        except OSError:
+            continue
+        if held in (os.path.abspath(source), os.path.abspath(target)):
+            raise PermissionError(32, f"{held} is used by another process")
+    return real(source, target)
+
+os.replace = replace
+"""
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/fd"), reason="asks Linux which files are open")
+def test_nothing_that_only_linux_has_is_needed(run, tmp_path, scenes, one_device):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    arguments = [
+        "render", str(scenes / "cornell_box.toml"), "--size", "16x16", "--spp", "8", "--method", "ncv",
+        "--train-spp", "4", "--device", str(one_device.index), "-o", "a.exr", "-o", "a.png",
+        "--json", "a.json", "--save-network", "a.npz", "--checkpoint", "c.npz",
+    ]  # fmt: skip
+    text = f"""
+from ncv_cl.cli import main
+os.chdir({str(folder)!r})
+print(main({arguments!r}), main(["devices"]))
+"""
+    program = f"{ELSEWHERE}{PROGRAM.format(scene='', device=0)}{text}"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment(**cache_in(tmp_path / "cache")),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 0 and done.stdout.endswith("0 0\n"), done.stderr
+    names = ["a.exr", "a.json", "a.npz", "a.png", "c.npz"]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    assert list((tmp_path / "cache").rglob("probe.json"))
