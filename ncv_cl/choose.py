@@ -16,7 +16,7 @@ from .device import (
     pocl_version,
 )
 from .probe import Probe, cached_probe, measure
-from .runtimes import INTEL_PLATFORM
+from .runtimes import INTEL_PLATFORM, platforms
 
 VARIABLE = "NCV_CL_DEVICE"
 _PYOPENCLS_VARIABLE = "PYOPENCL_CTX"
@@ -142,7 +142,11 @@ def _match_as_pyopencl(found: list[Device]) -> Device:
     """The device that pyopencl's own variable names."""
     value = os.environ[_PYOPENCLS_VARIABLE]
     try:
-        wanted = cl.create_some_context(interactive=False).devices[0]
+        answers = value.split(":")
+        if answers[0].isdecimal() or not answers[0]:
+            # Counted as without the platform that this package adds, which the loader may put first.
+            answers[0] = str(cl.get_platforms().index(platforms()[int(answers[0] or 0)]))
+        wanted = cl.create_some_context(interactive=False, answers=answers).devices[0]
         return next(device for device in found if device.cl_device == wanted)
     # Whatever pyopencl makes of a text that names nothing: its own errors, ValueError, IndexError.
     except Exception as error:
