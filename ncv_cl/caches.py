@@ -79,6 +79,7 @@ def _writable(folder: Path | None) -> bool:
             # Asks for space as well.
             file.write(bytes(4096))
             file.flush()
-        return all(os.access(path, os.W_OK) for path in folder.iterdir())
+        # Other processes may take theirs away meanwhile.
+        return all(os.access(path, os.W_OK) or not path.exists() for path in folder.iterdir())
     except OSError:
         return False

@@ -271,11 +271,25 @@ def list_cl_devices() -> list[cl.Device]:
     """
     check_process()
     try:
-        found = [cl_device for platform in platforms() for cl_device in platform.get_devices()]
+        registered = platforms()
     except cl.Error as error:
         raise DeviceError(f"{INSTALL_HINT} (the OpenCL loader said: {error})") from error
+    found: list[cl.Device] = []
+    without: list[str] = []
+    for platform in registered:
+        try:
+            of_platform = platform.get_devices()
+        # A driver that does not find its hardware takes no other runtime with it.
+        except cl.Error as error:
+            of_platform = []
+            without.append(f"{platform.name.strip()}: {error}")
+        else:
+            without += [] if of_platform else [f"{platform.name.strip()}: none"]
+        found += of_platform
     if not found:
-        raise DeviceError(INSTALL_HINT)
+        raise DeviceError(
+            f"{INSTALL_HINT} (devices of the runtimes that are there: {'; '.join(without)})"
+        )
     # A runtime that is registered twice gives the same devices twice.
     return list(dict.fromkeys(found))
 

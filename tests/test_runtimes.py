@@ -15,7 +15,7 @@ import pytest
 from ncv_cl import choose, runtimes
 from ncv_cl import device as device_module
 from ncv_cl.choose import all_devices, choose_device, devices
-from ncv_cl.device import DeviceError, open_device
+from ncv_cl.device import DeviceError, list_cl_devices, open_device
 
 ROOT = Path(__file__).parent.parent
 UNKNOWN_CPU = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic "
@@ -111,6 +111,26 @@ def test_a_wish_of_pyopencls_that_names_nothing_is_a_clear_error(monkeypatch, va
         choose_device()
     assert f"PYOPENCL_CTX={value} names no device" in str(caught.value)
     assert choose._listed()[0].describe() in str(caught.value)
+
+
+def named(name, *found, error=None):
+    """A platform; `name` is an argument of Mock's own."""
+    made = Mock(get_devices=Mock(return_value=list(found), side_effect=error))
+    made.name = name
+    return made
+
+
+def test_a_driver_without_its_hardware_takes_no_other_runtime_with_it(monkeypatch):
+    broken = named("NVIDIA CUDA", error=cl.LogicError("clGetDeviceIDs failed: OUT_OF_HOST_MEMORY"))
+    registered = [broken, named("PoCL", "a", "b"), named("PoCL again", "b"), named("empty")]
+    monkeypatch.setattr(device_module, "platforms", lambda: registered)
+    assert list_cl_devices() == ["a", "b"]
+    monkeypatch.setattr(device_module, "platforms", lambda: [broken, named("empty")])
+    with pytest.raises(DeviceError) as caught:
+        list_cl_devices()
+    said = str(caught.value)
+    assert "NVIDIA CUDA: clGetDeviceIDs failed: OUT_OF_HOST_MEMORY; empty: none" in said
+    assert "Install a runtime" in said
 
 
 def test_a_platforms_name_chooses():
