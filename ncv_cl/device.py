@@ -277,15 +277,14 @@ def list_cl_devices() -> list[cl.Device]:
     found: list[cl.Device] = []
     without: list[str] = []
     for platform in registered:
-        try:
-            of_platform = platform.get_devices()
         # A driver that does not find its hardware takes no other runtime with it.
+        try:
+            of_platform, said = platform.get_devices(), "none"
         except cl.Error as error:
-            of_platform = []
-            without.append(f"{platform.name.strip()}: {error}")
-        else:
-            without += [] if of_platform else [f"{platform.name.strip()}: none"]
+            of_platform, said = [], str(error)
         found += of_platform
+        if not of_platform:
+            without.append(f"{platform.name.strip()}: {said}")
     if not found:
         raise DeviceError(
             f"{INSTALL_HINT} (devices of the runtimes that are there: {'; '.join(without)})"
