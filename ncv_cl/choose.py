@@ -11,6 +11,7 @@ from .device import (
     Device,
     DeviceError,
     check_process,
+    first_error,
     list_cl_devices,
     open_device,
     pocl_version,
@@ -28,10 +29,11 @@ class DeviceReport:
 
     device: Device
     probe: Probe | None
+    problem: str | None = None
 
     def __str__(self) -> str:
         if self.probe is None:
-            return f"{self.device.describe()} | not used: {self.device.problem}"
+            return f"{self.device.describe()} | not used: {self.problem}"
         return f"{self.device.describe()} | inference {self.probe.nanoseconds:.1f} ns a sample"
 
 
@@ -62,9 +64,17 @@ def devices() -> DeviceList:
     DeviceError
         If there is none; the message says what to install.
     """
-    return DeviceList(
-        DeviceReport(device, measure(device) if device.problem is None else None) for device in _listed()
-    )
+    return DeviceList(map(_report, _listed()))
+
+
+def _report(device: Device) -> DeviceReport:
+    if device.problem is not None:
+        return DeviceReport(device, None, device.problem)
+    try:
+        return DeviceReport(device, measure(device))
+    # One that fails does not keep the others from the list.
+    except (RuntimeError, cl.Error) as error:
+        return DeviceReport(device, None, f"its benchmark failed ({first_error(error)})")
 
 
 def choose_device(selector: Device | int | str | None = None) -> Device:

@@ -171,6 +171,12 @@ class Device:
         return max(1, self.cl_device.native_vector_width_float)
 
 
+def first_error(error: Exception) -> str:
+    """What a compiler complains of first, in one line; else the first line of the message."""
+    said = re.search("error: .*", str(error))
+    return said[0] if said else str(error).partition("\n")[0]
+
+
 @once
 def _problem(cl_device: cl.Device) -> str | None:
     """See `Device.problem`; compiles only for a device that has reason to fail."""
@@ -179,10 +185,9 @@ def _problem(cl_device: cl.Device) -> str | None:
     try:
         cl.Program(_context(cl_device), "kernel void nothing(void) {}").build()
     except cl.Error as error:
-        said = re.search("error: .*", str(error))
         return (
             "cannot compile for this CPU, which its LLVM does not know yet "
-            f"({said[0] if said else error}); {OTHER_RUNTIME_HINT}"
+            f"({first_error(error)}); {OTHER_RUNTIME_HINT}"
         )
     return None
 

@@ -91,6 +91,24 @@ def test_what_cannot_be_used_is_listed_and_never_chosen(monkeypatch):
     assert unusable.startswith(second.describe()) and unusable.endswith("not used: is broken")
 
 
+def test_a_device_whose_benchmark_fails_does_not_keep_others_from_the_list(monkeypatch):
+    first = all_devices()[0]
+    listed = [open_device(first.cl_device, index) for index in range(3)]
+
+    def fail(device):
+        if device.index == 2:
+            return choose.Probe(1.0, True)
+        raise (cl.RuntimeError, RuntimeError)[device.index](
+            "building failed:\n<program>:3: error: no\nmore"
+        )
+
+    monkeypatch.setattr(choose, "_listed", lambda: listed)
+    monkeypatch.setattr(choose, "measure", fail)
+    lines = str(devices()).splitlines()
+    assert len(lines) == 3 and "ns a sample" in lines[2]
+    assert all(line.endswith("not used: its benchmark failed (error: no)") for line in lines[:2])
+
+
 @pytest.mark.parametrize("variable", [None, choose.VARIABLE, "PYOPENCL_CTX"])
 def test_with_nothing_left_the_error_says_why_and_what_to_do(monkeypatch, variable):
     monkeypatch.setattr(device_module, "_problem", lambda cl_device: "is broken; install another")
