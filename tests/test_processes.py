@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pyopencl as cl
 import pytest
 
@@ -258,8 +259,9 @@ def begin_long_render(scenes, device, folder: Path, *wrapper: str) -> subprocess
     process = subprocess.Popen(
         [
             *wrapper, sys.executable, "-m", "ncv_cl.cli", "render", str(scene),
-            "-o", str(folder / "a.exr"), "--checkpoint", str(checkpoint), "--size", "64x64",
-            "--method", "mc", "--spp", str(1 << 24), "--device", str(device.index),
+            "-o", str(folder / "a.exr"), "--json", str(folder / "a.json"), "--method", "mc",
+            "--checkpoint", str(checkpoint), "--size", "64x64", "--spp", str(1 << 24),
+            "--device", str(device.index),
         ],
         env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -272,8 +274,10 @@ def begin_long_render(scenes, device, folder: Path, *wrapper: str) -> subprocess
 def assert_stopped_early(process: subprocess.Popen, folder: Path) -> None:
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0 and "stopped early" in out, err
+    samples = json.loads((folder / "a.json").read_text())["samples_per_point"]
     image = Image.read(folder / "a.exr")
-    assert image.pixels.any() and 0 < image.metadata["spp"] < 1 << 24
+    assert 0 < samples < 1 << 24 and image.metadata["spp"] == samples
+    assert np.isfinite(image.pixels).all() and image.pixels.any() and image.variance.any()
 
 
 ASKING = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
