@@ -21,9 +21,11 @@ _VENDORS = Path("/etc/OpenCL/vendors")
 _VARIABLE = "OCL_ICD_VENDORS"
 _INTEL_PACKAGE, _INTEL_LIBRARY = "intel-opencl-rt", "libintelocl.so"
 INTEL_PLATFORM = "Intel(R) OpenCL"
+# Where Linux tells which files a process has loaded.
+_MAPS = Path("/proc/self/maps")
 
 
-# The process that the runtimes were loaded in, and that has their threads.
+# The process that the runtimes were loaded in, and that has their threads; None: not loaded.
 _home: int | None = None
 _lock = threading.Lock()
 
@@ -34,6 +36,32 @@ def loaded_elsewhere() -> bool:
     Runtimes keep threads, which no fork copies: the next call would wait for them for ever.
     """
     return _home is not None and _home != os.getpid()
+
+
+def _look_in_fork() -> None:
+    """In a process just forked: whether somebody else, such as pyopencl's user, had loaded a runtime."""
+    global _home
+    if _home is None and loaded_libraries():
+        _home = os.getppid()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_look_in_fork)
+
+
+def loaded_libraries() -> list[str]:
+    """Those registered runtimes' libraries that this process has loaded, as far as the system tells."""
+    named = Path(os.environ.get(_VARIABLE) or _VENDORS)
+    entries = [named] if named.suffix == ".icd" else [*named.glob("*.icd"), *_LOADER.glob("*.icd")]
+    libraries = [named.name, _INTEL_LIBRARY]
+    try:
+        libraries += [Path(entry.read_text(encoding="utf-8").strip()).name for entry in entries]
+        loaded = _MAPS.read_text(encoding="utf-8", errors="replace")
+    except (OSError, UnicodeDecodeError):
+        return []
+    # Versions follow the suffix, and differ between an entry and the file that it leads to.
+    stems = {name.partition(".so")[0] for name in libraries if ".so" in name}
+    return sorted(stem for stem in stems if f"/{stem}.so" in loaded)
 
 
 def platforms() -> list[cl.Platform]:

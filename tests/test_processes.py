@@ -134,6 +134,32 @@ print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), picture() == before, h
 
 
 @needs_fork
+@pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="the system does not tell")
+def test_a_fork_of_somebody_who_used_pyopencl_gets_the_error_as_well(run):
+    said = run("""
+import os
+import pyopencl
+from ncv_cl.runtimes import loaded_libraries
+
+def forked():
+    child = os.fork()
+    if child == 0:
+        try:
+            picture("mc")
+        except ncv.DeviceError as error:
+            os._exit(7 if "forked" in str(error) else 1)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+print(loaded_libraries(), forked())
+for platform in pyopencl.get_platforms():
+    platform.get_devices()
+print(len(loaded_libraries()) > 0, forked())
+""")
+    assert said == ["[] 0", "True 7"]
+
+
+@needs_fork
 def test_a_fork_in_the_middle_of_a_render_does_not_hang(run):
     said = run("""
 import os, threading
