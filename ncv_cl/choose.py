@@ -7,22 +7,34 @@ from dataclasses import dataclass
 
 import pyopencl as cl
 
-from .device import Device, DeviceError, list_cl_devices, open_device
+from .device import (
+    Device,
+    DeviceError,
+    check_process,
+    first_error,
+    list_cl_devices,
+    open_device,
+    pocl_version,
+)
 from .probe import Probe, cached_probe, measure
+from .runtimes import INTEL_PLATFORM, platforms
 
 VARIABLE = "NCV_CL_DEVICE"
+_PYOPENCLS_VARIABLE = "PYOPENCL_CTX"
 
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """A device and what the micro-benchmark measured on it."""
+    """A device and what the micro-benchmark measured on it, if it can be used."""
 
     device: Device
-    probe: Probe
+    probe: Probe | None
+    problem: str | None = None
 
     def __str__(self) -> str:
-        how = "fma" if self.probe.use_fma else "multiply-add"
-        return f"{self.device.describe()}, {how} | inference {self.probe.nanoseconds:.1f} ns a sample"
+        if self.probe is None:
+            return f"{self.device.describe()} | not used: {self.problem}"
+        return f"{self.device.describe()} | inference {self.probe.nanoseconds:.1f} ns a sample"
 
 
 class DeviceList(list[DeviceReport]):
@@ -35,19 +47,34 @@ class DeviceList(list[DeviceReport]):
 
 
 def all_devices() -> list[Device]:
-    """Every device, opened with its default widths, in the order of their indices."""
+    """Every device that can be used, opened with its default widths, in the order of their indices."""
+    return [device for device in _listed() if device.problem is None]
+
+
+def _listed() -> list[Device]:
+    """The same with those that cannot be used."""
     return [open_device(cl_device, index) for index, cl_device in enumerate(list_cl_devices())]
 
 
 def devices() -> DeviceList:
-    """Every OpenCL device with a fresh micro-benchmark of about a second each.
+    """Every OpenCL device with a fresh micro-benchmark of about a second each, or why it cannot be used.
 
     Raises
     ------
     DeviceError
         If there is none; the message says what to install.
     """
-    return DeviceList(DeviceReport(device, measure(device)) for device in all_devices())
+    return DeviceList(map(_report, _listed()))
+
+
+def _report(device: Device) -> DeviceReport:
+    if device.problem is not None:
+        return DeviceReport(device, None, device.problem)
+    try:
+        return DeviceReport(device, measure(device))
+    # One that fails does not keep the others from the list.
+    except (RuntimeError, cl.Error) as error:
+        return DeviceReport(device, None, f"its benchmark failed ({first_error(error)})")
 
 
 def choose_device(selector: Device | int | str | None = None) -> Device:
@@ -58,45 +85,89 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     selector : Device, int or str, optional
         A device, an index from `devices()`, or part of a device's or platform's name. Without one:
         the variable ``NCV_CL_DEVICE`` (index or name), then pyopencl's ``PYOPENCL_CTX``, then a GPU if
-        there is one, else the CPU runtime that the micro-benchmark finds fastest (measured once and
-        cached).
+        there is one, else of the CPU runtimes the newest PoCL from 3.1 on, Intel's, an older PoCL, or
+        what there is. No clock decides, so it is the same device every time.
 
     Raises
     ------
     DeviceError
-        If nothing matches, or a name matches several devices.
+        If nothing matches, a name matches several devices, or the device cannot be used.
     """
+    check_process()
     if isinstance(selector, Device):
         return selector
-    found = all_devices()
+    device = _chosen(selector)
+    # Measured when a device is first used rather than in a render, where "auto" weighs by it.
+    cached_probe(device)
+    return device
+
+
+def _chosen(selector: int | str | None) -> Device:
+    found = _listed()
     if selector is None:
         selector = os.environ.get(VARIABLE) or None
     if selector is not None:
-        return _tuned(_match(found, selector))
-    if os.environ.get("PYOPENCL_CTX"):
-        wanted = cl.create_some_context(interactive=False).devices[0]
-        return _tuned(next(device for device in found if device.cl_device == wanted))
-    gpus = [device for device in found if device.is_gpu]
-    if gpus:
-        return _tuned(gpus[0])
-    return _tuned(min(found, key=lambda device: cached_probe(device).nanoseconds))
+        return _checked(_match(found, selector))
+    if os.environ.get(_PYOPENCLS_VARIABLE):
+        return _checked(_match_as_pyopencl(found))
+    usable = [device for device in found if device.problem is None]
+    if not usable:
+        problems = "; ".join(f"{device.name}, {device.problem}" for device in found)
+        raise DeviceError(f"no OpenCL device can be used: {problems}")
+    return max(usable, key=_preference)
+
+
+def _preference(device: Device) -> tuple[int, tuple[int, int]]:
+    """The larger, the faster, as measured on CPUs of several kinds; equals keep the loader's order."""
+    version = pocl_version(device.cl_device)
+    if device.is_gpu:
+        return 4, (0, 0)
+    if version is not None:
+        return (3 if version >= (3, 1) else 1), version
+    return (2 if device.platform_name == INTEL_PLATFORM else 0), (0, 0)
 
 
 def _match(found: list[Device], selector: int | str) -> Device:
     lines = "\n".join(f"  {device.describe()}" for device in found)
     text = str(selector).strip()
-    if text.isdigit():
+    if text.isdecimal():
         if int(text) < len(found):
             return found[int(text)]
         raise DeviceError(f"there is no device {text}; choose among\n{lines}")
-    matches = [device for device in found if text.lower() in device.identity.lower()]
+    matches = [device for device in found if text.lower() in _names(device)]
+    if len(matches) > 1:
+        # What cannot be used is not meant, where there is another of the name.
+        matches = [device for device in matches if device.problem is None] or matches[:1]
     if len(matches) == 1:
         return matches[0]
     problem = "no device matches" if not matches else "more than one device matches"
     raise DeviceError(f"{problem} {text!r}; choose by index or a longer name among\n{lines}")
 
 
-def _tuned(device: Device) -> Device:
-    """The same device with `use_fma` as measured."""
-    probe = cached_probe(device)
-    return open_device(device.cl_device, device.index, use_fma=probe.use_fma)
+def _names(device: Device) -> str:
+    return f"{device.platform_name} | {device.identity}".lower()
+
+
+def _match_as_pyopencl(found: list[Device]) -> Device:
+    """The device that pyopencl's own variable names."""
+    value = os.environ[_PYOPENCLS_VARIABLE]
+    try:
+        answers = value.split(":")
+        if answers[0].isdecimal() or not answers[0]:
+            # Counted as without the platform that this package adds, which the loader may put first.
+            answers[0] = str(cl.get_platforms().index(platforms()[int(answers[0] or 0)]))
+        wanted = cl.create_some_context(interactive=False, answers=answers).devices[0]
+        return next(device for device in found if device.cl_device == wanted)
+    # Whatever pyopencl makes of a text that names nothing: its own errors, ValueError, IndexError.
+    except Exception as error:
+        lines = "\n".join(f"  {device.describe()}" for device in found)
+        raise DeviceError(
+            f"{_PYOPENCLS_VARIABLE}={value} names no device ({error}): unset it, or give platform and "
+            f"device as pyopencl counts them, such as 0:0, or set {VARIABLE} to an index of\n{lines}"
+        ) from error
+
+
+def _checked(device: Device) -> Device:
+    if device.problem is not None:
+        raise DeviceError(f"device {device.index}, {device.name}, {device.problem}")
+    return device

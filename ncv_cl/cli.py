@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 
@@ -22,6 +20,7 @@ from .integrands.ao import MAPPINGS
 from .integrate import integrate
 from .integrator import METHODS as INTEGRATION_METHODS
 from .integrator import PRECISIONS
+from .interrupt import StopOnSignal
 from .presets import PRESETS
 from .render import render
 from .report import package_version
@@ -256,23 +255,12 @@ def _integrand(options: argparse.Namespace) -> Integrand:
     return INTEGRANDS[options.integrand]()
 
 
-class _StopOnInterrupt:
-    """The first Ctrl-C ends rendering after the pass under way; a second one ends it at once."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        signal.signal(signal.SIGINT, self._handle)
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        print("\nstopping after this pass; press Ctrl-C again to stop at once", file=sys.stderr)
-
-    def __call__(self) -> bool:
-        return self.asked
-
-
 def _render(options: argparse.Namespace) -> int:
+    with StopOnSignal() as stop:
+        return _render_and_write(options, stop)
+
+
+def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
     # What can be refused is refused before the work, not after it.
     for path in filter(None, (*options.output, options.json, options.save_network, options.checkpoint)):
         if not Path(path).resolve().parent.is_dir():
@@ -281,7 +269,6 @@ def _render(options: argparse.Namespace) -> int:
         check_output_path(path)
     width, height = options.size
     reference = read_reference(options.reference, (height, width)) if options.reference else None
-    stop = _StopOnInterrupt()
     image = (render_split if options.split_direct else render)(
         load_scene(options.scene),
         _integrand(options),

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import pyopencl as cl
+
+from .runtimes import loaded_elsewhere, platforms
 
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA).
 GPU_LANES = 32
@@ -21,16 +25,57 @@ GROUP_SIZE = 64
 _NO_AVX512 = re.compile(r"-(znver[123]|generic|x86-64)$")
 _AVX_BYTES = 32
 
+# LLVM's name for an x86-64 CPU that it does not know; as a target it has none of this name.
+_UNKNOWN_CPU = re.compile(r"x86_64\S*-generic$")
+
+_POCL = re.compile(r"PoCL (\d+)\.(\d+)")
+
 INSTALL_HINT = (
     "no OpenCL device was found. Install a runtime: `pip install 'ncv_cl[pocl]'` brings PoCL for the "
     "CPU without any system package; on Debian and Ubuntu `apt install pocl-opencl-icd` is faster; "
     "GPUs need their vendor's driver with an entry under /etc/OpenCL/vendors "
     "(NVIDIA without one: set OCL_ICD_VENDORS=libnvidia-opencl.so.1)."
 )
+OTHER_RUNTIME_HINT = (
+    "install another runtime: `pip install 'ncv_cl[intel]'` brings Intel's for any x86-64 CPU; on "
+    "Debian and Ubuntu `apt install pocl-opencl-icd` brings a newer PoCL"
+)
 
 
 class DeviceError(RuntimeError):
     """No usable OpenCL device, or the one asked for does not exist."""
+
+
+def check_process() -> None:
+    """Refuse to go on where OpenCL would hang.
+
+    Raises
+    ------
+    DeviceError
+        In a process that was forked from one that had used OpenCL.
+    """
+    if loaded_elsewhere():
+        raise DeviceError(
+            "this process was forked from one that had used OpenCL, whose threads it does not have: "
+            "start processes by multiprocessing's 'spawn' or 'forkserver', or fork before the first "
+            "use of OpenCL"
+        )
+
+
+_Made = TypeVar("_Made")
+
+
+def once(make: Callable[..., _Made]) -> Callable[..., _Made]:
+    """`functools.cache` for what must not be made twice, whichever threads ask at a time."""
+    made, lock = functools.cache(make), threading.RLock()
+
+    @functools.wraps(make)
+    def ask(*arguments: object, **options: object) -> _Made:
+        check_process()
+        with lock:
+            return made(*arguments, **options)
+
+    return ask
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +93,9 @@ class Device:
     lanes : int
         LANES: work-items that cooperate on one shading point.
     use_fma : bool
-        Whether `fma` beats `a * b + c` with ``-cl-mad-enable``; the probe measures it.
+        Whether kernels call `fma` or write `a * b + c` with ``-cl-mad-enable``; see `prefers_fma`.
+    context, queue
+        pyopencl's; raise `DeviceError` where `check_process` does.
     """
 
     cl_device: cl.Device
@@ -56,12 +103,26 @@ class Device:
     vector_width: int = 1
     lanes: int = 1
     use_fma: bool = True
-    context: cl.Context = field(repr=False, default=None)
-    queue: cl.CommandQueue = field(repr=False, default=None)
+    _context: cl.Context = field(repr=False, default=None)
+    _queue: cl.CommandQueue = field(repr=False, default=None)
+
+    @property
+    def context(self) -> cl.Context:
+        check_process()
+        return self._context
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        check_process()
+        return self._queue
 
     @property
     def name(self) -> str:
         return self.cl_device.name.strip()
+
+    @property
+    def platform_name(self) -> str:
+        return self.cl_device.platform.name.strip()
 
     @property
     def platform_version(self) -> str:
@@ -84,19 +145,51 @@ class Device:
         """A line that tells this device and driver from every other."""
         return f"{self.platform_version} | {self.name} | {self.cl_device.driver_version.strip()}"
 
+    @property
+    def shape(self) -> str:
+        """What kernels are compiled for, beside the device itself."""
+        how = "fma" if self.use_fma else "multiply-add"
+        return f"VEC {self.vector_width}, LANES {self.lanes}, {how}"
+
     def describe(self) -> str:
         """One line for `ncv-cl devices` and for bug reports."""
         kind = "GPU" if self.is_gpu else "CPU" if self.is_cpu else "device"
         return (
-            f"[{self.index}] {kind} {self.name} | {self.platform_version} | "
+            f"[{self.index}] {kind} {self.name} | {self.platform_name}: {self.platform_version} | "
             f"{self.cl_device.max_compute_units} compute units, native float{self.native_vector_width}, "
             f"{self.cl_device.local_mem_size // 1024} KiB local memory | "
-            f"VEC {self.vector_width}, LANES {self.lanes}"
+            f"{self.shape}"
         )
+
+    @property
+    def problem(self) -> str | None:
+        """Why the device cannot be used, and what to do instead; None where it can."""
+        return _problem(self.cl_device)
 
     @property
     def native_vector_width(self) -> int:
         return max(1, self.cl_device.native_vector_width_float)
+
+
+def first_error(error: Exception) -> str:
+    """What a compiler complains of first, in one line; else the first line of the message."""
+    said = re.search("error: .*", str(error))
+    return said[0] if said else str(error).partition("\n")[0]
+
+
+@once
+def _problem(cl_device: cl.Device) -> str | None:
+    """See `Device.problem`; compiles only for a device that has reason to fail."""
+    if not _UNKNOWN_CPU.search(cl_device.version.strip()):
+        return None
+    try:
+        cl.Program(_context(cl_device), "kernel void nothing(void) {}").build()
+    except cl.Error as error:
+        return (
+            "cannot compile for this CPU, which its LLVM does not know yet "
+            f"({first_error(error)}); {OTHER_RUNTIME_HINT}"
+        )
+    return None
 
 
 def default_widths(cl_device: cl.Device) -> tuple[int, int]:
@@ -107,6 +200,25 @@ def default_widths(cl_device: cl.Device) -> tuple[int, int]:
     return (16 if native >= 16 else 8 if native >= 8 else 4), 1
 
 
+def pocl_version(cl_device: cl.Device) -> tuple[int, int] | None:
+    """PoCL's version; None for other runtimes."""
+    found = _POCL.search(cl_device.platform.version)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def prefers_fma(cl_device: cl.Device) -> bool:
+    """Whether ``fma`` is at least as fast on a device as ``a * b + c`` that may be contracted.
+
+    The two differ in the last bit, so what decides is known of the device, never a stopwatch. Measured:
+    to PoCL 3.0 `fma` is a call of a function, at half the speed; PoCL 3.1 and Intel's runtime make an
+    instruction of both; GPUs contract by themselves.
+    """
+    version = pocl_version(cl_device)
+    if version is None or cl_device.type & cl.device_type.GPU:
+        return True
+    return version >= (3, 1) and bool(cl_device.single_fp_config & cl.device_fp_config.FMA)
+
+
 def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
     """The widest VEC of numbers of so many bytes that the device's compiler survives."""
     claims_avx512 = cl_device.native_vector_width_float >= 16
@@ -115,15 +227,15 @@ def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
     return 16
 
 
-@functools.cache
+@once
 def open_device(
     cl_device: cl.Device,
     index: int = 0,
     vector_width: int | None = None,
     lanes: int | None = None,
-    use_fma: bool = True,
+    use_fma: bool | None = None,
 ) -> Device:
-    """Open a device with a context and a queue; VEC and LANES can be set to simulate another shape.
+    """Open a device with a context and a queue; what is given simulates another shape or compiler.
 
     Raises
     ------
@@ -143,33 +255,47 @@ def open_device(
         index,
         vector_width or default_vector_width,
         lanes or default_lanes,
-        use_fma,
+        prefers_fma(cl_device) if use_fma is None else use_fma,
         context,
         cl.CommandQueue(context),
     )
 
 
-@functools.cache
+@once
 def _context(cl_device: cl.Device) -> cl.Context:
     return cl.Context([cl_device])
 
 
 def list_cl_devices() -> list[cl.Device]:
-    """Every OpenCL device of every platform, in the loader's order.
+    """Every OpenCL device of every platform, in the loader's order, usable or not.
 
     Raises
     ------
     DeviceError
         If there is no platform or no device; the message says what to install.
     """
+    check_process()
     try:
-        platforms = cl.get_platforms()
+        registered = platforms()
     except cl.Error as error:
         raise DeviceError(f"{INSTALL_HINT} (the OpenCL loader said: {error})") from error
-    found = [cl_device for platform in platforms for cl_device in platform.get_devices()]
+    found: list[cl.Device] = []
+    without: list[str] = []
+    for platform in registered:
+        # A driver that does not find its hardware takes no other runtime with it.
+        try:
+            of_platform, said = platform.get_devices(), "none"
+        except cl.Error as error:
+            of_platform, said = [], str(error)
+        found += of_platform
+        if not of_platform:
+            without.append(f"{platform.name.strip()}: {said}")
     if not found:
-        raise DeviceError(INSTALL_HINT)
-    return found
+        raise DeviceError(
+            f"{INSTALL_HINT} (devices of the runtimes that are there: {'; '.join(without)})"
+        )
+    # A runtime that is registered twice gives the same devices twice.
+    return list(dict.fromkeys(found))
 
 
 class HostArray:

@@ -1,22 +1,23 @@
-"""A short inference benchmark per device, and its cached answers."""
+"""A short inference benchmark per device, and its cached answers, on which no kernel depends."""
 
 from __future__ import annotations
 
 import json
 import os
 import tempfile
+import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import numpy as np
 
-from .device import Device, HostArray, open_device
+from .caches import cache_folder
+from .device import Device, HostArray
 from .encode import Encoding
 from .network import NetworkDescription
 from .program import build
+from .version import package_version
 
 # The network that is timed: the slides' two layers of 32 with three outputs, biases per point.
 _DESCRIPTION = NetworkDescription(Encoding(("position",)), 3, (32, 32), modulated=("B1",))
@@ -26,24 +27,19 @@ _SECONDS = 0.5
 
 @dataclass(frozen=True)
 class Probe:
-    """What the benchmark found: nanoseconds an inference sample takes, and how it was fastest."""
+    """What the benchmark found: nanoseconds that an inference sample takes, with `fma` or without."""
 
     nanoseconds: float
     use_fma: bool
 
 
+# Of this process, where nothing can be kept in a file.
+_measured: dict[Device, Probe] = {}
+_lock = threading.Lock()
+
+
 def measure(device: Device) -> Probe:
-    """Time inference with and without ``fma`` (about a second in all) and keep the faster."""
-    # GPUs contract by themselves; there is nothing to choose.
-    choices = [True] if device.is_gpu else [True, False]
-    timed = [Probe(_inference_nanoseconds(device, use_fma), use_fma) for use_fma in choices]
-    return min(timed, key=lambda probe: probe.nanoseconds)
-
-
-def _inference_nanoseconds(device: Device, use_fma: bool) -> float:
-    device = open_device(
-        device.cl_device, device.index, device.vector_width, device.lanes, use_fma=use_fma
-    )
+    """Time inference for about half a second."""
     evaluate = build(device, ("common", "mlp"), _DESCRIPTION.defines()).kernel("evaluate")
     generator = np.random.Generator(np.random.Philox(0))
     uv = generator.uniform(size=(2, _POINTS, _SAMPLES))
@@ -64,19 +60,31 @@ def _inference_nanoseconds(device: Device, use_fma: bool) -> float:
         evaluate(items, 0, _POINTS, _SAMPLES, *arguments, value)
         device.queue.finish()
         times.append(time.perf_counter() - begun)
-    return float(np.median(times[1:])) / (_POINTS * _SAMPLES) * 1e9
+    return Probe(float(np.median(times[1:])) / (_POINTS * _SAMPLES) * 1e9, device.use_fma)
 
 
 def cached_probe(device: Device) -> Probe:
     """The probe of this device and driver, measured once and kept under the user's cache folder."""
-    path = _cache_path()
+    # Two threads that measure at once would measure each other.
+    with _lock:
+        if device not in _measured:
+            _measured[device] = _kept_probe(device)
+        return _measured[device]
+
+
+def _kept_probe(device: Device) -> Probe:
+    folder = cache_folder("ncv_cl")
+    if folder is None:
+        return measure(device)
+    path = folder / "probe.json"
     known: dict[str, dict] = {}
-    key = f"{_package_version()} | {device.identity} | VEC {device.vector_width}"
+    key = f"{package_version()} | {device.identity} | VEC {device.vector_width}"
     # A cache that is missing, broken or of another version only means measuring again.
     with suppress(OSError, ValueError, TypeError):
         known = dict(json.loads(path.read_text(encoding="utf-8")))
-        if key in known:
-            return Probe(**known[key])
+        kept = Probe(**known[key]) if key in known else None
+        if kept is not None and kept.use_fma == device.use_fma and kept.nanoseconds > 0:
+            return kept
     probe = measure(device)
     known[key] = asdict(probe)
     # A read-only home only means that the next start measures again.
@@ -86,15 +94,3 @@ def cached_probe(device: Device) -> Probe:
             json.dump(known, file, indent=1)
         os.replace(file.name, path)
     return probe
-
-
-def _cache_path() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "ncv_cl" / "probe.json"
-
-
-def _package_version() -> str:
-    try:
-        return version("ncv_cl")
-    except PackageNotFoundError:
-        return "unpackaged"

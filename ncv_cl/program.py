@@ -153,7 +153,7 @@ def _built(device: Device, text: str, options: list[str]) -> cl.Program:
     with warnings.catch_warnings():
         # Intel's compiler reports every build, also those without anything to warn of.
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        program = cl.Program(device.context, text).build(options)
+        program = _compiled(device, text, options)
         try:
             program.all_kernels()[0].get_arg_info(0, cl.kernel_arg_info.NAME)
         except cl.RuntimeError as error:
@@ -161,6 +161,17 @@ def _built(device: Device, text: str, options: list[str]) -> cl.Program:
                 raise
             program = cl.Program(device.context, text).build(options, cache_dir=False)
     return program
+
+
+def _compiled(device: Device, text: str, options: list[str]) -> cl.Program:
+    """The program, at a second try if need be.
+
+    When a signal comes, LLVM deletes the temporary files of the compilation under way, which then fails.
+    """
+    try:
+        return cl.Program(device.context, text).build(options)
+    except cl.RuntimeError:
+        return cl.Program(device.context, text).build(options)
 
 
 _programs: dict[tuple[Any, ...], Program] = {}

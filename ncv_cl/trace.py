@@ -31,6 +31,13 @@ class Hits:
     distance: np.ndarray
 
 
+def usable_cores() -> int:
+    """Cores that this process may use; all there are where the system has no such limit."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 class Tracer:
     """A scene committed to embree.
 
@@ -45,7 +52,7 @@ class Tracer:
     def __init__(self, scene: Scene, threads: int | None = None) -> None:
         if threads is not None and (int(threads) != threads or threads < 1):
             raise ValueError(f"threads must be a whole number of at least 1, got {threads!r}")
-        self.threads = threads or len(os.sched_getaffinity(0))
+        self.threads = threads or usable_cores()
         # Robust traversal: no ray slips through the edge between two triangles.
         self._scene = rtcore_scene.EmbreeScene(robust=True)
         TriangleMesh(self._scene, scene.vertices, scene.triangles.astype(np.int32))

@@ -18,6 +18,8 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PA
 KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
+    "caches interrupt version",
+    "runtimes",
     "arrangement certificate clip device image scene_data scene_geometry scene_table",
     "program scene",
     "sampler trace",

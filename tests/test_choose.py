@@ -1,4 +1,4 @@
-"""Choosing a device, what is said without one, and the cached micro-benchmark."""
+"""Choosing a device by rules, what is said without one, and the cached micro-benchmark."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
+import pyopencl as cl
 import pytest
 
 from ncv_cl import choose, probe
 from ncv_cl.choose import all_devices, choose_device, devices
-from ncv_cl.device import DeviceError
+from ncv_cl.device import Device, DeviceError, prefers_fma
 from ncv_cl.probe import Probe, cached_probe
 
 ROOT = Path(__file__).parent.parent
@@ -25,15 +28,28 @@ def measured(tmp_path, monkeypatch):
 
     def count(device):
         calls.append(device.index)
-        # Later devices are faster, so that the choice is not simply the first.
-        return Probe(100.0 - device.index, use_fma=bool(device.index % 2))
+        # Not what the rules say, so that a choice by the clock would show.
+        return Probe(100.0 + device.index, use_fma=device.use_fma)
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for variable in (choose.VARIABLE, "PYOPENCL_CTX"):
         monkeypatch.delenv(variable, raising=False)
     for module in (probe, choose):
         monkeypatch.setattr(module, "measure", count)
+    monkeypatch.setattr(probe, "_measured", {})
     return calls
+
+
+def forget():
+    """As a new process has it."""
+    probe._measured.clear()
+
+
+def stand_in(platform="Portable Computing Language", version="", kind=cl.device_type.CPU, fma=True):
+    """An OpenCL device that is of some runtime."""
+    config = cl.device_fp_config.FMA if fma else cl.device_fp_config.DENORM
+    runtime = SimpleNamespace(name=platform, version=version)
+    return Mock(platform=runtime, type=kind, single_fp_config=config, version="")
 
 
 def cache_file(tmp_path: Path) -> Path:
@@ -81,25 +97,75 @@ def test_the_variable_chooses_and_an_argument_overrides_it(monkeypatch):
         choose_device()
 
 
-def test_pyopencls_variable_chooses(monkeypatch):
-    monkeypatch.setenv("PYOPENCL_CTX", "0")
-    assert choose_device().index == 0
+@pytest.mark.parametrize("value", ["0", "0:0", ":"])
+def test_pyopencls_variable_chooses(monkeypatch, value):
+    first = choose._listed()[0]
+    if first.problem is not None:
+        pytest.skip("the first device cannot be used")
+    monkeypatch.setenv("PYOPENCL_CTX", value)
+    assert choose_device() is first
 
 
-def test_the_fastest_is_chosen_and_takes_its_measured_fma(measured):
-    found = all_devices()
-    if any(device.is_gpu for device in found):
-        pytest.skip("a GPU comes first")
-    chosen = choose_device()
-    assert chosen.index == len(found) - 1
-    assert chosen.use_fma == bool(chosen.index % 2)
-    assert sorted(measured) == [device.index for device in found]
+POCL_30 = "OpenCL 3.0 PoCL 3.0-rc2  Linux, Release, RELOC, LLVM 14.0.6"
+POCL_31 = "OpenCL 3.0 PoCL 3.1+debian  Linux, None+Asserts, RELOC, SPIR, LLVM 15.0.6"
+POCL_5 = "OpenCL 3.0 PoCL 5.0  Linux, Release, RELOC, SPIR-V, LLVM 16.0.6"
+POCL_10 = "OpenCL 3.0 PoCL 10.2  Linux, Release, RELOC, LLVM 22"
+
+
+def test_what_is_known_of_runtimes_decides_and_not_the_clock(monkeypatch):
+    best_first = [
+        stand_in("NVIDIA CUDA", "OpenCL 3.0 CUDA 12.4", cl.device_type.GPU),
+        stand_in(version=POCL_10),
+        stand_in(version=POCL_5),
+        stand_in(version=POCL_31),
+        stand_in("Intel(R) OpenCL", "OpenCL 3.1 LINUX"),
+        stand_in(version=POCL_30),
+        stand_in("Oclgrind", "OpenCL 1.2 (Oclgrind 21.10)"),
+    ]
+    for count in range(1, len(best_first) + 1):
+        for order in (best_first[-count:], best_first[-count:][::-1]):
+            listed = [Device(cl_device, index) for index, cl_device in enumerate(order)]
+            monkeypatch.setattr(choose, "_listed", lambda listed=listed: listed)
+            assert choose._chosen(None).cl_device is best_first[-count]
+
+
+def test_of_equal_devices_the_first_is_chosen(monkeypatch):
+    listed = [Device(stand_in(version=POCL_31), index) for index in range(3)]
+    monkeypatch.setattr(choose, "_listed", lambda: listed)
+    assert choose._chosen(None) is listed[0]
+
+
+@pytest.mark.parametrize(
+    ("cl_device", "expected"),
+    [
+        (stand_in(version=POCL_30), False),
+        (stand_in(version=POCL_31), True),
+        (stand_in(version=POCL_10), True),
+        # A CPU without the instruction: there `fma` is a function.
+        (stand_in(version=POCL_31, fma=False), False),
+        # Intel's runtime does not say that it has it, but does.
+        (stand_in("Intel(R) OpenCL", "OpenCL 3.1 LINUX", fma=False), True),
+        (stand_in(version=POCL_30, kind=cl.device_type.GPU), True),
+        (stand_in("NVIDIA CUDA", "OpenCL 3.0 CUDA 12.4", cl.device_type.GPU), True),
+    ],
+)
+def test_fma_follows_from_the_runtime(cl_device, expected):
+    assert prefers_fma(cl_device) is expected
+
+
+def test_what_is_chosen_is_compiled_by_the_rule():
+    for device in all_devices():
+        chosen = choose_device(device.index)
+        assert chosen is device and chosen.use_fma == prefers_fma(device.cl_device)
+        assert ("fma" if chosen.use_fma else "multiply-add") in chosen.describe()
 
 
 def test_the_benchmark_is_cached_for_each_device_and_driver(tmp_path, measured):
     found = all_devices()
     first = [cached_probe(device) for device in found]
     assert len(measured) == len(found)
+    assert [cached_probe(device) for device in found] == first
+    forget()
     assert [cached_probe(device) for device in found] == first
     assert len(measured) == len(found)
     known = json.loads(cache_file(tmp_path).read_text())
@@ -109,30 +175,49 @@ def test_the_benchmark_is_cached_for_each_device_and_driver(tmp_path, measured):
     assert os.listdir(tmp_path / "ncv_cl") == ["probe.json"], "no temporary file stays"
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", "3", '{"KEY": 1}', '{"KEY": {"old": 1}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{", "[]", "null", "3", '{"KEY": 1}', '{"KEY": {"old": 1}}',
+        '{"KEY": {"nanoseconds": NaN, "use_fma": FMA}}',
+        '{"KEY": {"nanoseconds": 1.0, "use_fma": OTHER}}',
+    ],
+)  # fmt: skip
 def test_a_damaged_cache_is_measured_again(tmp_path, measured, one_device, text):
     cached_probe(one_device)
     (key,) = json.loads(cache_file(tmp_path).read_text())
-    cache_file(tmp_path).write_text(text.replace("KEY", key.replace("\\", "\\\\")))
-    expected = Probe(100.0 - one_device.index, bool(one_device.index % 2))
-    assert cached_probe(one_device) == expected
-    assert len(measured) == 2
-    assert cached_probe(one_device) == expected
-    assert len(measured) == 2
+    for name, value in (
+        ("KEY", key.replace("\\", "\\\\")),
+        ("FMA", json.dumps(one_device.use_fma)),
+        ("OTHER", json.dumps(not one_device.use_fma)),
+    ):
+        text = text.replace(name, value)
+    cache_file(tmp_path).write_text(text)
+    expected = Probe(100.0 + one_device.index, one_device.use_fma)
+    for _ in range(2):
+        forget()
+        assert cached_probe(one_device) == expected
+        assert len(measured) == 2
 
 
-def test_a_cache_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, one_device):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert cached_probe(one_device).nanoseconds == 100.0 - one_device.index
+@pytest.mark.parametrize("home", ["a file", None])
+def test_a_cache_that_cannot_be_written_is_measured_once_a_process(
+    tmp_path, monkeypatch, measured, one_device, home
+):
+    (tmp_path / "a file").write_text("in the way")
+    monkeypatch.setattr(probe, "cache_folder", lambda name: home and tmp_path / home)
+    for _ in range(2):
+        assert cached_probe(one_device).nanoseconds == 100.0 + one_device.index
+    assert len(measured) == 1
 
 
 def test_devices_prints_one_line_each_with_its_benchmark():
     reports = devices()
     lines = str(reports).splitlines()
-    assert len(lines) == len(reports) == len(all_devices())
-    for line, device in zip(lines, all_devices(), strict=True):
-        assert line.startswith(device.describe()) and "ns a sample" in line
+    assert len(lines) == len(reports) == len(choose._listed())
+    for line, device in zip(lines, choose._listed(), strict=True):
+        assert line.startswith(device.describe())
+        assert ("ns a sample" if device in all_devices() else "not used: ") in line
     assert repr(reports) == str(reports)
 
 

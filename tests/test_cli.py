@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -152,24 +150,6 @@ def test_pipes_get_no_progress_bar(scenes, one_device, tmp_path):
     done = subprocess.run(**command("render", scene, *TINY, "--device", device, *target))
     assert done.returncode == 0, done.stderr
     assert done.stderr == "" and "\r" not in done.stdout
-
-
-def test_interrupt_leaves_the_image_of_the_passes_done(scenes, one_device, tmp_path):
-    scene, device = str(scenes / "cornell_box.toml"), str(one_device.index)
-    files = ["-o", str(tmp_path / "a.exr"), "--json", str(tmp_path / "a.json")]
-    many = ["--size", "64x64", "--method", "mc", "--spp", str(1 << 24), "--device", device]
-    started = time.perf_counter()
-    with subprocess.Popen(**command("render", scene, *many, *files)) as process:
-        # Long enough to be rendering, and far from the end.
-        time.sleep(8)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    assert time.perf_counter() - started < 60 and "stopped early" in out
-    samples = json.loads((tmp_path / "a.json").read_text())["samples_per_point"]
-    image = Image.read(tmp_path / "a.exr")
-    assert 0 < samples < 1 << 24 and image.metadata["spp"] == samples
-    assert np.isfinite(image.pixels).all() and image.pixels.any() and image.variance.any()
 
 
 def test_version_and_help_name_the_commands(capsys):
