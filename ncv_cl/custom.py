@@ -228,10 +228,12 @@ def estimate(
     estimation = Estimation(device, source, settings, chosen, edges, folded, table, watch)
     estimation.passes.run("estimate")
     results = estimation.results()
-    by_count = None if PRESETS[preset].density else float(spp)
+    by_count = not PRESETS[preset].density
     integral = variate.integral if variate else None
     residual = results[1] if variate else None
-    mean, variance = combine(*estimate_of(results[0], residual, integral), training, by_count)
+    mean, variance = combine(
+        *estimate_of(results[0], residual, integral), training, float(spp), by_count
+    )
     stats: dict[str, object] = {
         "seconds": {**watch.seconds, "total": time.perf_counter() - started},
         "samples_per_point": float(results[0].samples.mean()),

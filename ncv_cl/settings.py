@@ -13,7 +13,7 @@ import numpy as np
 
 from .integrands import Integrand
 from .presets import PRESETS
-from .sampler import SAMPLERS
+from .sampler import SAMPLERS, HostStream, host_generator
 
 METHODS = ("auto", "ncv", "mc")
 DENSITIES = ("table", "subdivision", "none")
@@ -146,7 +146,7 @@ class RenderSettings:
         count = min(active, max(1, round(active * spp / samples_a_point)))
         # One point at random of each of `count` runs: spread over the image, without a pattern.
         edges = np.linspace(0, active, count + 1)
-        generator = np.random.Generator(np.random.Philox([self.seed, 2]))
+        generator = host_generator(self.seed, HostStream.TRAINING_POINTS)
         picks = edges[:-1] + generator.uniform(size=count) * np.diff(edges)
         samples = samples_a_point if active * spp >= samples_a_point else max(1, round(active * spp))
         return np.minimum(picks, active - 1).astype(np.uint32), samples

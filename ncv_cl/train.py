@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from .encode import Encoder, GridIndex, TouchedTable
 from .network import Network, PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
+from .sampler import HostStream, host_generator
 from .samples import Batch, ray_defines
 
 # Bytes of local memory that the gradient kernel may use; every GPU has this much.
@@ -26,6 +28,8 @@ MAX_TILE = 64
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
+# Steps between two looks at the clock, where there is one.
+CHECKED_STEPS = 32
 # What a step's rows of `plan` and `rates` hold.
 PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
 RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")
@@ -158,7 +162,7 @@ class Trainer:
         self._scale = previous._scale if previous else 1.0
         description = network.description
         count = len(chosen)
-        generator = np.random.Generator(np.random.Philox([seed, 1]))
+        generator = host_generator(seed, HostStream.MINIBATCHES)
         shuffled = generator.permutation(count).astype(np.uint32)
         position = np.empty_like(shuffled)
         position[shuffled] = np.arange(count, dtype=np.uint32)
@@ -232,10 +236,11 @@ class Trainer:
             self._target,
         )
 
-    def fit(self, rounds: int = 1) -> float:
+    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
         """All passes over the stored samples, as one of `rounds` such calls; returns the mean loss.
 
-        The loss is the mean over the last pass's steps at the end of each stored sample.
+        The loss is the mean over the last pass's steps at the end of each stored sample. `check` is
+        called now and then, and may raise.
         """
         if not self._has_factors:
             self._set_common_factor()
@@ -249,6 +254,9 @@ class Trainer:
         for number, (_, batch) in enumerate(order):
             self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
             self._adam.repeat(number, self._adam_items[batch])
+            if check is not None and number % CHECKED_STEPS == 0:
+                self.device.queue.finish()
+                check()
             if batch == numbers[-1] and number >= len(order) - len(starts) * len(numbers):
                 losses.append(float(self._loss.read()[0]))
         self._steps += len(order)
@@ -276,10 +284,10 @@ class Trainer:
         return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def _set_common_factor(self) -> None:
-        """The integrand's mean for all, so that rates and losses do not depend on the scene's units."""
+        """The integrand's mean size for all: rates and losses do not depend on the scene's units."""
         count = self._encoder.count
         with self._target.mapped() as target:
-            mean = float(np.mean(target[:, :, :count], dtype=np.float64))
+            mean = float(np.mean(np.abs(target[:, :, :count]), dtype=np.float64))
         self._scale = mean if mean > 0.0 else 1.0
         channels = self._start.description.channels
         self._set_factors(np.full((channels, count), self._scale, np.float32))
