@@ -44,10 +44,18 @@ def check_writable(path: str | Path) -> None:
         raise PermissionError(f"cannot write {path}: no permission to write in {path.parent}")
 
 
-def check_paths(**paths: str | Path | None) -> None:
-    """As `check_writable` for files of several purposes, no two of which may be the same."""
-    owner: dict[Path, str] = {}
-    for purpose, path in paths.items():
+def check_paths(
+    written: Mapping[str, str | Path | None], read: Mapping[str, str | Path | None] | None = None
+) -> None:
+    """As `check_writable` for files of several purposes, no two of which may be the same.
+
+    Parameters
+    ----------
+    written, read : dict
+        Paths by purpose, None where there is none. What is read must not be written over.
+    """
+    owner = {Path(path).resolve(): purpose for purpose, path in (read or {}).items() if path is not None}
+    for purpose, path in written.items():
         if path is None:
             continue
         check_writable(path)
@@ -55,7 +63,7 @@ def check_paths(**paths: str | Path | None) -> None:
             continue
         other = owner.setdefault(Path(path).resolve(), purpose)
         if other != purpose:
-            raise ValueError(f"{other} and {purpose} are the same file, {path}")
+            raise ValueError(f"{purpose} would be written over {other}: both are {path}")
 
 
 def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:

@@ -226,6 +226,7 @@ class _Learning:
         chosen, numbers = current.chosen, current.samples
         held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
         firsts = range(numbers.start, numbers.stop - held + 1, held)
+        self.clock.check(TRAINING_SHARE)
         with self.watch("train"):
             trainer = Trainer(
                 self.device, self.start, self.source.points, schedule, chosen, held,

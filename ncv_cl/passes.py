@@ -67,8 +67,11 @@ def short_pass_edges(
             break
         head.append(min(head[-1] + length, samples))
     regular = np.arange(head[-1] + samples_a_pass, samples, samples_a_pass, dtype=np.int64)
-    middle = [first_pass] if first_pass is not None and first_pass < samples else []
-    return np.unique(np.concatenate([head, middle, regular, [samples]]).astype(np.int64))
+    end = [samples] if head[-1] < samples else []
+    edges = np.concatenate([head, regular, end]).astype(np.int64)
+    if first_pass is None or first_pass >= samples or first_pass in edges:
+        return edges
+    return np.insert(edges, np.searchsorted(edges, first_pass), first_pass)
 
 
 class Passes:

@@ -157,7 +157,7 @@ def render(
         If there is no such OpenCL device.
     """
     started = time.perf_counter()
-    check_paths(checkpoint=checkpoint, save_network=save_network)
+    check_paths({"checkpoint": checkpoint, "save_network": save_network})
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
     if isinstance(integrand, str):

@@ -18,7 +18,7 @@ MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PA
 KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
-    "clock files",
+    "clock console files",
     "arrangement device image scene_data scene_geometry scene_table",
     "program scene",
     "sampler trace",
