@@ -142,6 +142,22 @@ class Checkpoint:
             guide,
         )
 
+    def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
+        """Refuse arrays that are not of this many points, of which kernels would read too many.
+
+        Raises
+        ------
+        CheckpointError
+            Naming what does not fit.
+        """
+        expected = (channels, points)
+        alike = {"alpha": self.alpha, "before_mean": None if self.before is None else self.before.mean}
+        for name, array in alike.items():
+            if array is not None and array.shape != expected:
+                raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
+        if self.method == "ncv" and with_density and self.density is None:
+            raise CheckpointError("the checkpoint lacks the density of its network")
+
     def check(self, identity: dict[str, object]) -> None:
         """Refuse to go on with a render that would not be the same.
 

@@ -19,6 +19,8 @@ INTERRUPTED = 130
 
 def run(command: Callable[[], int]) -> int:
     """The exit status of a command: its own, or 2 after one line that says what is wrong."""
+    # Where these were closed before we began, the next files opened would be taken for them.
+    sys.stdout, sys.stderr = (one or open(os.devnull, "w") for one in (sys.stdout, sys.stderr))  # noqa: SIM115
     # What a terminal cannot show must not cost what was made.
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):

@@ -13,6 +13,8 @@ import numpy as np
 
 # Stands for a size that may be any.
 ANY = -1
+# Of folders in which files are made, before they get their names.
+PREFIX = ".ncv_cl-"
 
 
 def check_writable(path: str | Path) -> None:
@@ -22,8 +24,9 @@ def check_writable(path: str | Path) -> None:
     ------
     ValueError
         If the path is no path.
-    FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError
-        If the folder is missing, is not a folder or may not be written, or `path` is a folder.
+    OSError
+        FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError or another: if the
+        folder is missing, is not a folder or cannot be written, or `path` is a folder.
     """
     path = Path(path)
     try:
@@ -40,8 +43,15 @@ def check_writable(path: str | Path) -> None:
         # A device or a pipe, which is written into.
         if not os.access(path, os.W_OK):
             raise PermissionError(f"cannot write {path}: no permission")
-    elif not os.access(path.parent, os.W_OK | os.X_OK):
+        return
+    if not os.access(path.parent, os.W_OK | os.X_OK):
         raise PermissionError(f"cannot write {path}: no permission to write in {path.parent}")
+    try:
+        # What permissions do not say: read-only and full disks, folders that are none.
+        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent):
+            pass
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror}") from error
 
 
 def check_paths(
@@ -86,7 +96,7 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
                 write(file)
             return
         # A folder, not a file of tempfile's: the file then gets the permissions of the umask.
-        with tempfile.TemporaryDirectory(prefix=".ncv_cl-", dir=path.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
             complete = Path(folder) / path.name
             with open(complete, "wb") as file:
                 write(file)
@@ -110,15 +120,15 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
     if os.path.isdir(path):
         raise ValueError(f"{path} is a folder, not a file")
     try:
+        with open(path, "rb") as file:
+            if file.read(2) != b"PK":
+                raise ValueError("it is no .npz archive")
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except Exception as error:
         # What a broken archive raises depends on where it is broken: a dozen classes were seen.
-        raise ValueError(f"{path} cannot be read as .npz: {_said(error)}") from error
-
-
-def _said(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise ValueError(f"{path} cannot be read: {said.removeprefix('ValueError: ')}") from error
 
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:

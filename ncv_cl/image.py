@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from .files import check_writable
+from .files import PREFIX, check_writable
 
 # The channel names that viewers and denoisers look for.
 _RGB, _XYZ = ("R", "G", "B"), ("X", "Y", "Z")
@@ -92,7 +92,7 @@ class Image:
             names, data = self._channels()
             attributes = _exr_attributes(self.metadata)
         # A folder, not a file of tempfile's: the image then gets the permissions of the umask.
-        with tempfile.TemporaryDirectory(prefix=".ncv_cl-", dir=path.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
             complete = Path(folder) / path.name
             _write_file(complete, path, names, data, attributes)
             os.replace(complete, path)
@@ -157,7 +157,7 @@ def check_output_path(path: str | Path) -> None:
     ------
     ValueError
         If the suffix is neither .exr nor .png.
-    FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError
+    OSError
         As `files.check_writable` raises them.
     """
     path = Path(path)

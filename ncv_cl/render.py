@@ -266,6 +266,8 @@ class _Rendering:
         settings, points, resumed = self.settings, self.points, self.keep.resumed
         begun = None
         if resumed is not None:
+            needs_density = settings.uses_density or settings.allocates
+            resumed.check_arrays(settings.integrand.channels, points.active, needs_density)
             self.before = resumed.before
             self.prediction = Prediction(**resumed.prediction) if resumed.prediction else None
             if resumed.guide is not None:
