@@ -29,10 +29,14 @@ def check_writable(path: str | Path) -> None:
         folder is missing, is not a folder or cannot be written, or `path` is a folder.
     """
     path = Path(path)
+    exists = True
     try:
-        exists = path.exists()
-    except ValueError as error:
-        raise ValueError(f"cannot write {str(path)!r}: {error}") from error
+        os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        exists = False
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise type(error)(f"cannot write {str(path)!r}: {reason}") from error
     if not path.parent.exists():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it")
     if not path.parent.is_dir():

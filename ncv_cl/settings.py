@@ -149,11 +149,12 @@ class RenderSettings:
             return np.arange(active, dtype=np.uint32), max(1, round(spp))
         count = min(active, max(1, round(active * spp / samples_a_point)))
         # One point at random of each of `count` runs: spread over the image, without a pattern.
-        edges = np.linspace(0, active, count + 1)
+        # Runs of whole points: of two that shared one both might pick it, and count its samples twice.
+        edges = np.linspace(0, active, count + 1).astype(np.int64)
         generator = host_generator(self.seed, HostStream.TRAINING_POINTS)
-        picks = edges[:-1] + generator.uniform(size=count) * np.diff(edges)
+        picks = edges[:-1] + (generator.uniform(size=count) * np.diff(edges)).astype(np.int64)
         samples = samples_a_point if active * spp >= samples_a_point else max(1, round(active * spp))
-        return np.minimum(picks, active - 1).astype(np.uint32), samples
+        return picks.astype(np.uint32), samples
 
 
 def _check_whole(name: str, value: object, most: int) -> None:
