@@ -164,12 +164,14 @@ def render(
         if integrand not in INTEGRANDS:
             raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
         integrand = INTEGRANDS[integrand]()
+    if not isinstance(integrand, Integrand):
+        raise ValueError(f"integrand must be a name or an Integrand, got {integrand!r}")
     settings = RenderSettings(
         integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation,
         target_mse, time_limit, skip_dark, visibility,
     )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
-    integrand.data(scene)
+    integrand.check(scene)
     if reference is not None:
         reference = checked_reference(reference, settings.size)
     if method == "mc" and (network is not None or save_network is not None):
