@@ -8,6 +8,8 @@ import time
 # Part of a time limit by which training, and a first pass or pilot, must be through.
 TRAINING_SHARE = 0.5
 FIRST_SHARE = 0.25
+# Steps of training between two looks at it.
+CHECKED_STEPS = 32
 
 
 class OutOfTime(Exception):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .clock import CHECKED_STEPS
 from .device import Device, HostArray
 from .encode import Encoder
 from .files import array_of, read_arrays, real_number
@@ -17,7 +18,7 @@ from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription
 from .points import ShadingPoints
 from .program import Program, build
 from .sampler import HostStream, host_generator
-from .train import CHECKED_STEPS, TrainingSamples
+from .train import TrainingSamples
 from .warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.

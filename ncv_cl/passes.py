@@ -74,6 +74,32 @@ def short_pass_edges(
     return np.insert(edges, np.searchsorted(edges, first_pass), first_pass)
 
 
+def edges_of(
+    settings: RenderSettings,
+    points: int,
+    samples_a_pass: int,
+    first_pass: int | None = None,
+    done: Sequence[int] | None = None,
+) -> Sequence[int]:
+    """Where the passes of a render of `points` points begin and end.
+
+    Parameters
+    ----------
+    first_pass
+        As `pass_edges` takes it.
+    done : sequence of int, optional
+        Those of the passes that a checkpoint holds.
+    """
+    if settings.time_limit is None:
+        edges: Sequence[int] = pass_edges(settings.spp, samples_a_pass, first_pass)
+    else:
+        shortest = shortest_pass(settings, points)
+        edges = short_pass_edges(settings.spp, samples_a_pass, shortest, first_pass)
+    if done is None:
+        return edges
+    return [*done, *edges[np.searchsorted(edges, done[-1], side="right") :]]
+
+
 class Passes:
     """Draws the samples of several estimates side by side.
 

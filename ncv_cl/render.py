@@ -28,18 +28,15 @@ from .integrands import INTEGRANDS, Integrand
 from .keep import Keep
 from .learn import learn
 from .network import Network
-from .passes import pass_edges, short_pass_edges, shortest_pass
-from .paths import sample_source
+from .passes import edges_of
 from .pilot import allocate_by_pilot, draw_pilot
-from .points import ShadingPoints, find_points
+from .prepare import prepare
 from .presets import PRESETS
 from .report import about_values, identity, metadata, seconds_of, skips, statistics
 from .resolve import resolve_image
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
-from .shaft import Occluders
 from .stopping import ErrorTarget, Stopping
-from .trace import Tracer
 from .variate import ControlVariate, control_variate, idle
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -222,42 +219,7 @@ class _Rendering:
         # How the network was trained, if it was.
         self.training: dict[str, object] = {}
         self.keep = Keep(None, None, {}, None)
-        with self.watch("scene"):
-            self.tracer = Tracer(scene, threads)
-        with self.watch("points"):
-            self.points = find_points(
-                device,
-                scene,
-                self.tracer,
-                *settings.size,
-                settings.supersample,
-                settings.integrand.emitters_active,
-            )
-            self.points = self._without_dark(self.points)
-        occluders = None
-        if settings.integrand.to_lights and settings.visibility == "auto" and self.points.active:
-            with self.watch("shafts"):
-                occluders = Occluders(device, scene, self.points, settings.integrand)
-        self.source = sample_source(
-            device,
-            scene,
-            self.tracer,
-            self.points,
-            settings.integrand,
-            settings.sampler,
-            settings.seed,
-            RESIDUAL_PASS,
-            occluders,
-            shadows_tested=settings.visibility == "auto",
-        )
-
-    def _without_dark(self, points: ShadingPoints) -> ShadingPoints:
-        """Points that cannot see a light are left out; all others keep their samples either way."""
-        dark = self.settings.integrand.dark(self.scene, points)
-        if dark is None:
-            return points
-        points = points.with_dark_last(dark)
-        return points.without_last(int(dark.sum())) if self.settings.skip_dark else points
+        self.points, self.source = prepare(device, scene, settings, threads, RESIDUAL_PASS, self.watch)
 
     def run(
         self,
@@ -451,14 +413,8 @@ class _Rendering:
         first_pass: int | None = None,
     ) -> Estimation:
         settings = self.settings
-        if settings.time_limit is None:
-            edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass)
-        else:
-            shortest = shortest_pass(settings, self.points.active)
-            edges = short_pass_edges(settings.spp, RESIDUAL_PASS, shortest, first_pass)
-        if self.keep.resumed is not None:
-            done = self.keep.resumed.edges
-            edges = [*done, *edges[np.searchsorted(edges, done[-1], side="right") :]]
+        done = None if self.keep.resumed is None else self.keep.resumed.edges
+        edges = edges_of(settings, self.points.active, RESIDUAL_PASS, first_pass, done)
         folded, density = (variate.folded, variate.density) if variate else (None, None)
         return Estimation(
             self.device, self.source, settings, allocation, edges, folded, density, self.watch

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .clock import CHECKED_STEPS
 from .device import Device, HostArray
 from .encode import Encoder, GridIndex, TouchedTable
-from .network import Network, PaddedLayout
+from .network import Network
+from .padded import PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
 from .sampler import HostStream, host_generator
@@ -28,8 +30,6 @@ MAX_TILE = 64
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
-# Steps between two looks at the clock, where there is one.
-CHECKED_STEPS = 32
 # What a step's rows of `plan` and `rates` hold.
 PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
 RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")

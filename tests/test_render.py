@@ -122,7 +122,6 @@ def test_pixels_that_are_not_finite_are_counted_and_named():
     ],
 )
 def test_bad_arguments_are_refused_before_the_work(one_device, scenes, monkeypatch, options, message):
-    module = sys.modules["ncv_cl.render"]
-    monkeypatch.setattr(module, "find_points", lambda *arguments: pytest.fail("worked"))
+    monkeypatch.setattr("ncv_cl.prepare.find_points", lambda *arguments: pytest.fail("worked"))
     with pytest.raises(ValueError, match=message):
         render(scenes / "cornell_box.toml", device=one_device, **{"size": (8, 8), **options})
