@@ -1,9 +1,10 @@
-"""A network's parameters as training holds them: in rows of whole vectors."""
+"""A network's parameters as training holds them: rows of whole vectors, their moments and averages."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from .device import Device, HostArray
 from .network import NetworkDescription
 
 
@@ -55,3 +56,17 @@ class PaddedLayout:
     def unpack(self, padded: np.ndarray) -> np.ndarray:
         """The plain vector of a padded one."""
         return np.concatenate([view.ravel() for view in self._views(padded)])
+
+
+class Averaged:
+    """A trained array on the device with Adam's moments and its moving average."""
+
+    def __init__(self, device: Device, start: np.ndarray) -> None:
+        self.value = HostArray.of(device, start)
+        self.moment1 = HostArray.of(device, np.zeros_like(start))
+        self.moment2 = HostArray.of(device, np.zeros_like(start))
+        self.average = HostArray.of(device, start)
+
+    @property
+    def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
+        return self.value, self.moment1, self.moment2, self.average

@@ -13,7 +13,7 @@ from .clock import CHECKED_STEPS
 from .device import Device, HostArray
 from .encode import Encoder, GridIndex, TouchedTable
 from .network import Network
-from .padded import PaddedLayout
+from .padded import Averaged, PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
 from .sampler import HostStream, host_generator
@@ -177,7 +177,7 @@ class Trainer:
         if previous is not None:
             self._parameters, table = previous._parameters, previous._table.read()
         else:
-            self._parameters = _Averaged(device, self._layout.pack(network.parameters))
+            self._parameters = Averaged(device, self._layout.pack(network.parameters))
             table = network.table
         moments = 2 * description.encoding.grid_features if settings.table_adam else 2
         self._table = TouchedTable(device, table, self._index.touched, moments)
@@ -387,17 +387,3 @@ class Trainer:
             **ray_defines(),
         }
         return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)
-
-
-class _Averaged:
-    """A trained array on the device with Adam's moments and its moving average."""
-
-    def __init__(self, device: Device, start: np.ndarray) -> None:
-        self.value = HostArray.of(device, start)
-        self.moment1 = HostArray.of(device, np.zeros_like(start))
-        self.moment2 = HostArray.of(device, np.zeros_like(start))
-        self.average = HostArray.of(device, start)
-
-    @property
-    def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
-        return self.value, self.moment1, self.moment2, self.average
