@@ -65,9 +65,10 @@ class CallableSource(Batches):
     Attributes
     ----------
     offset : ndarray
-        float64 (channels,), the constant: the median of a few values at some points. What is integrated
-        is then near zero whatever f is, and float32 holds its differences. Any constant leaves the
-        estimate as it is once it is added again; this one rests on samples that nothing else uses.
+        float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
+        points. What is integrated is then near zero whatever f is, and float32 holds its differences. Any
+        constant leaves the estimate as it is once it is added again; this one rests on samples that
+        nothing else uses.
     """
 
     def __init__(
@@ -89,16 +90,16 @@ class CallableSource(Batches):
         with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
             slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
         self.offset = np.zeros(channels)
-        self.offset = self._median()
 
-    def _median(self) -> np.ndarray:
-        """Of every channel, over `OFFSET_SAMPLES` at each of some of the points."""
+    def centre(self) -> None:
+        """Take off the medians of f's channels, over `OFFSET_SAMPLES` at each of some of the points."""
         points = self.points.active
         chosen = np.linspace(0, points, min(points, OFFSET_POINTS), endpoint=False)
         order = HostArray.of(self.device, chosen.astype(np.uint32))
         parts = self.parts(range(len(chosen)), range(OFFSET_SAMPLES))
         values = [self._values(*part, Stream.OFFSET, order)[0] for part in parts]
-        return np.median(np.concatenate([one.reshape(-1, self.channels) for one in values]), axis=0)
+        flat = np.concatenate([one.reshape(-1, self.channels) for one in values])
+        self.offset = self.offset + np.median(flat, axis=0)
 
     def draw(
         self,
@@ -264,6 +265,7 @@ def estimate(
     started = time.perf_counter()
     shading, cube = _points_of(device, points, features)
     source = CallableSource(device, shading, f, channels, sampler, seed)
+    source.centre()
     variate = training = None
     about: dict[str, object] = {}
     if method == "ncv":

@@ -21,7 +21,7 @@ STAGES = {
     ("estimation", "warm_up"): "warm-up",
     ("samples", "unshadowed_means"): "unshadowed",
     ("pilot", "draw_pilot"): "pilot",
-    ("custom", "_median"): "offset",
+    ("custom", "centre"): "offset",
     ("learn", "_train"): "training",
     ("learn", "_run"): "held out",
     ("first_pass", "predict_from_first_pass"): "first pass",
