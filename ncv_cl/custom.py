@@ -66,8 +66,8 @@ class CallableSource(Batches):
     ----------
     offset : ndarray
         float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
-        points. What is integrated is then near zero whatever f is, and float32 holds its differences. Any
-        constant leaves the estimate as it is once it is added again; this one rests on samples that
+        points. What is integrated is then near zero whatever f is, and float32 holds its differences.
+        Any constant leaves the estimate as it is once it is added again; this one rests on samples that
         nothing else uses.
     """
 
