@@ -53,9 +53,9 @@ class Allocation:
     def of_counts(cls, counts: np.ndarray) -> Allocation:
         """counts[i] samples for point i."""
         chosen = np.argsort(counts, kind="stable").astype(np.uint32)
-        # Where drawing ends early, points with few samples have these few all the same: of one sample
-        # there would be no variance.
-        return cls(chosen, np.asarray(counts, np.int64)[chosen], FEWEST_SAMPLES)
+        # Where drawing ends early, no point has a single sample, of which there is no variance. All of
+        # its few must not come at once: by how its parts differ the error is known.
+        return cls(chosen, np.asarray(counts, np.int64)[chosen], 2)
 
     def restricted(self, points: np.ndarray, total: int) -> Allocation:
         """The same numbers for some of the points only; `total` is the number of all points."""
