@@ -26,7 +26,7 @@ from .guide import Guide
 from .image import Image, checked_reference
 from .integrands import INTEGRANDS, Integrand
 from .keep import Keep
-from .learn import learn
+from .learn import Learned, learn
 from .network import Network
 from .passes import edges_of
 from .pilot import allocate_by_pilot, draw_pilot
@@ -326,36 +326,19 @@ class _Rendering:
         density: DensityNetwork | None,
     ) -> ControlVariate | None:
         """Train (or take) the networks, fold and integrate; None where that fails, or time is up."""
-        settings, device = self.settings, self.device
+        settings = self.settings
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         learned = None
         if network is None:
-            guided = settings.guides
-            if guided:
-                self.source.record_guide()
-            learned = learn(
-                device,
-                GridCube.around(self.scene.bounds),
-                self.source,
-                settings,
-                inputs,
-                self._factor,
-                self.watch,
-                self.stop,
-                self.clock,
-            )
-            network, self.training = learned.network, learned.statistics
-            if guided:
-                with self.watch("guide"):
-                    self.guide = self.source.learn_guide()
-            self.before = learned.estimate
+            learned = self._learn(inputs)
+            network = learned.network
         else:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
             return None
         try:
             variate = control_variate(
-                device,
+                self.device,
                 self.points,
                 settings,
                 network,
@@ -377,6 +360,28 @@ class _Rendering:
         if self.first_pass is not None:
             self.before = self.first_pass.merged(self.before)
         return variate
+
+    def _learn(self, inputs: tuple[str, ...]) -> Learned:
+        """Train the network, and what guides paths with it."""
+        settings = self.settings
+        if settings.guides:
+            self.source.record_guide()
+        learned = learn(
+            self.device,
+            GridCube.around(self.scene.bounds),
+            self.source,
+            settings,
+            inputs,
+            self._factor,
+            self.watch,
+            self.stop,
+            self.clock,
+        )
+        self.training, self.before = learned.statistics, learned.estimate
+        if settings.guides:
+            with self.watch("guide"):
+                self.guide = self.source.learn_guide()
+        return learned
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
