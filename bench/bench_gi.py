@@ -220,7 +220,7 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
         count = len(part) * first.stride
         once = first.value.read().ravel()[: 3 * count].astype(float)
         # The same points of the square, other paths.
-        again = source.draw(part, range(samples), Stream.RESIDUAL, paths=Stream.CALIBRATION)
+        again = source.draw(part, range(samples), Stream.RESIDUAL, paths=Stream.RESIDUAL_AGAIN)
         twice = again.value.read().ravel()[: 3 * count]
         noise += float(((once - twice) ** 2).sum()) / 2
         weight += 3 * len(part) * samples

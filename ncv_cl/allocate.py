@@ -15,6 +15,8 @@ MAGNITUDE_POWER = 0.9
 FEWEST_SAMPLES = 4
 # No point gets more than this multiple of the average.
 LARGEST_SHARE = 64
+# Samples are numbered by 32 bits.
+LARGEST_NUMBER_BITS = 31
 
 
 class Run(NamedTuple):
@@ -34,10 +36,13 @@ class Allocation:
         uint32, the shading points that get samples, sorted by how many.
     counts : ndarray
         int64 (chosen,), samples of each of them.
+    at_once : int
+        Of these, so many are among the first that are drawn at all.
     """
 
     chosen: np.ndarray
     counts: np.ndarray
+    at_once: int = 1
 
     @classmethod
     def uniform(cls, chosen: np.ndarray, count: int) -> Allocation:
@@ -48,14 +53,16 @@ class Allocation:
     def of_counts(cls, counts: np.ndarray) -> Allocation:
         """counts[i] samples for point i."""
         chosen = np.argsort(counts, kind="stable").astype(np.uint32)
-        return cls(chosen, np.asarray(counts, np.int64)[chosen])
+        # Where drawing ends early, no point has a single sample, of which there is no variance. All of
+        # its few must not come at once: by how its parts differ the error is known.
+        return cls(chosen, np.asarray(counts, np.int64)[chosen], 2)
 
     def restricted(self, points: np.ndarray, total: int) -> Allocation:
         """The same numbers for some of the points only; `total` is the number of all points."""
         mask = np.zeros(total, bool)
         mask[points] = True
         kept = mask[self.chosen]
-        return Allocation(self.chosen[kept], self.counts[kept])
+        return Allocation(self.chosen[kept], self.counts[kept], self.at_once)
 
     @property
     def samples(self) -> int:
@@ -79,12 +86,13 @@ class Allocation:
         return {"converged_points": points, "converged_samples": round(saved)}
 
     def part(self, begin: int, end: int, whole: int) -> list[Run]:
-        """From `begin` to `end` of `whole` parts of all points' samples; from 0 at least one each."""
+        """From `begin` to `end` of `whole` parts of all samples; from 0 `at_once` of each point's."""
         firsts = np.flatnonzero(np.diff(self.counts, prepend=-1)).tolist()
         runs = []
         for first, last in itertools.pairwise([*firsts, len(self.counts)]):
             count = int(self.counts[first])
-            samples = range(-(-count * begin // whole), -(-count * end // whole))
+            once = min(count, self.at_once)
+            samples = range(*(max(-(-count * at // whole), once if at else 0) for at in (begin, end)))
             if samples:
                 runs.append(Run(range(first, last), samples))
         return runs
@@ -118,7 +126,7 @@ def allocate(
     if not len(magnitude):
         return np.zeros(0, np.int64)
     fewest = min(fewest, 1 << (average.bit_length() - 1))
-    most = 1 << (LARGEST_SHARE * average).bit_length() - 1
+    most = 1 << min((LARGEST_SHARE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
     with np.errstate(divide="ignore"):
         # Of zero: minus infinity, which gets the fewest.
         wanted = power * np.log2(np.asarray(magnitude, np.float64))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -79,16 +80,20 @@ class Prediction:
         return asdict(self)
 
 
-def too_short(device: Device, known: float, traced: float) -> Prediction | None:
+def too_short(
+    device: Device, known: float, traced: float, seconds: float = math.inf
+) -> Prediction | None:
     """Plain Monte Carlo where it cannot take longer than training, whatever its variance; else None.
 
     Parameters
     ----------
     known, traced : float
         Samples of the image whose visibility is tested on the device, and others.
+    seconds : float
+        The most that the image may take from now on.
     """
     inference = 1e-9 * cached_probe(device).nanoseconds
-    longest = inference * (LONGEST_SAMPLE * known + LONGEST_RAY * traced)
+    longest = min(inference * (LONGEST_SAMPLE * known + LONGEST_RAY * traced), max(seconds, 0.0))
     training = inference * FIXED_INFERENCE_SAMPLES
     return Prediction("mc", longest, training, 1.0, False) if longest < training else None
 
@@ -98,7 +103,7 @@ def predict(
     first: Estimate,
     difference: np.ndarray | None,
     seconds: float,
-    spp: int,
+    spp: float,
     nested_rays: float | None = None,
     training_samples: float = 0.0,
     occluders: float = 0.0,
@@ -114,7 +119,7 @@ def predict(
         errors at far fewer points than have a variance, and only differences show where.
     seconds : float
         What that pass took.
-    spp : int
+    spp : float
         Samples a point that are wanted in all.
     nested_rays : float, optional
         Rays a sample, where samples are estimates themselves, whose noise is learned to be lowered.
@@ -131,7 +136,8 @@ def predict(
     """
     drawn = float(first.samples.mean())
     mc_seconds = seconds * max(spp - drawn, 0) / drawn
-    variance = first.variance.sum(axis=0)
+    # What is not known speaks for nothing.
+    variance = np.nan_to_num(first.variance.sum(axis=0))
     if difference is None:
         deviation, normal = np.sqrt(variance), 1.0
     else:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .sampler import HostStream, host_generator
+
 # Samples of a point that are drawn at a time; fewer of `train_spp` are so many at fewer points.
 TRAINING_PASS = 16
 # Samples of a point in a round with fewer than that on average. More at fewer points leave the same
@@ -70,7 +72,7 @@ def plan(active: int, spp: int, seed: int) -> Budget:
     held = min(HELD_OUT_POINTS, int(active * HELD_OUT_SHARE))
     if len(sizes) == 1 or held == 0:
         sizes, held = [sum(sizes)], 0
-    generator = np.random.Generator(np.random.Philox([seed, 2]))
+    generator = host_generator(seed, HostStream.TRAINING_POINTS)
     points = np.arange(active, dtype=np.uint32)
     out = _spread(active, held, generator)[:held] if held else points[:0]
     rest = np.delete(points, out)

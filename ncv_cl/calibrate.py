@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from .estimate import Estimate
+from .sampler import HostStream, host_generator
 
 # Points that are estimated a second time: a share of all, within bounds.
 TWICE_SHARE = 1 / 32
@@ -30,7 +31,7 @@ def points_done_twice(points: int, seed: int) -> np.ndarray:
     """Indices of the points to estimate a second time, uint32, sorted; at random."""
     wanted = np.clip(points * TWICE_SHARE, FEWEST_TWICE, MOST_TWICE)
     count = max(min(points, 1), int(min(wanted, points * LARGEST_TWICE_SHARE)))
-    generator = np.random.Generator(np.random.Philox([seed, 3]))
+    generator = host_generator(seed, HostStream.POINTS_DONE_TWICE)
     return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
 
 
@@ -38,12 +39,13 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
     """Mean of `values` (points,) over the points within `LOCAL_RADIUS` sub-pixels, along both axes.
 
     `cell` are the points' sub-pixels, row-major on a grid of `rows` x `columns`. A few samples may
-    have missed what a point's neighbours saw.
+    have missed what a point's neighbours saw. Values that are NaN do not count; zero where all are.
     """
+    known = ~np.isnan(values)
     planes = np.zeros((2, rows + 2 * LOCAL_RADIUS + 1, columns + 2 * LOCAL_RADIUS + 1))
     row, column = cell // columns, cell % columns
-    planes[0, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = values
-    planes[1, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = 1
+    planes[0, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = np.where(known, values, 0.0)
+    planes[1, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = known
     # Sums over boxes as differences of sums over all that lies above and to the left.
     sums = planes.cumsum(axis=1).cumsum(axis=2)
     width = 2 * LOCAL_RADIUS + 1
@@ -54,7 +56,7 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
         + sums[:, :-width, :-width]
     )
     total, count = boxes[:, row, column]
-    return np.maximum(total / count, 0.0)
+    return np.maximum(total / np.maximum(count, 1), 0.0)
 
 
 def calibrate(
@@ -83,9 +85,15 @@ def calibrate(
     """
     difference = first.mean[:, twice] - second.mean[:, twice]
     measured = 0.5 * difference**2
+    # What fewer than two samples say of a point is not taken for its variance.
+    expected = np.where(first.known, expected, np.nan)
     both = 0.5 * (expected[:, twice] + repeated)
-    ratio = _ratio_curve(both.ravel(), measured.ravel(), expected)
-    mean, variance, samples = first.mean.copy(), expected * ratio, first.samples.copy()
+    if np.any(both > 0):
+        found = expected * _ratio_curve(both.ravel(), measured.ravel(), expected)
+    else:
+        # No point's own samples differ, its two estimates may.
+        found = np.where(np.isnan(expected), np.nan, measured.mean())
+    mean, variance, samples = first.mean.copy(), found, first.samples.copy()
     mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
     variance[:, twice] *= 0.5
     samples[twice] += second.samples[twice]
@@ -113,7 +121,7 @@ def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, r
 def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
     """Variances of single samples, (channels, points), each with the prior's mixed in.
 
-    Where there are few samples their variance is itself uncertain.
+    Where there are few samples their variance is itself uncertain; with fewer than two it stays unknown.
 
     Parameters
     ----------
@@ -123,16 +131,16 @@ def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
     if prior is None or not np.any(prior):
         return estimate.variance
     degrees = np.maximum(estimate.samples - 1, 0)
-    scale = (estimate.variance * degrees).sum(axis=1) / max(np.sum(prior * degrees), 1e-300)
+    squares = np.where(estimate.known, estimate.variance * degrees, 0.0)
+    scale = squares.sum(axis=1) / max(np.sum(prior * degrees), 1e-300)
     expected = scale[:, None] * prior
-    return (estimate.variance * degrees + PRIOR_SAMPLES * expected) / (degrees + PRIOR_SAMPLES)
+    found = (squares + PRIOR_SAMPLES * expected) / (degrees + PRIOR_SAMPLES)
+    return np.where(estimate.known, found, np.nan)
 
 
 def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) -> np.ndarray:
     """The ratio measured / expected as a function of expected, evaluated at `where`."""
     positive = np.flatnonzero(expected > 0)
-    if not positive.size:
-        return np.ones_like(where)
     ranked = positive[np.argsort(expected[positive], kind="stable")]
     classes = np.array_split(ranked, int(np.clip(len(ranked) // VALUES_A_CLASS, 1, MOST_CLASSES)))
     sums = np.array([expected[one].sum() for one in classes])

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-import os
-import tempfile
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
+from .auto import Prediction
 from .density import DensityNetwork
 from .estimate import Estimate
-from .guide import Guide
+from .files import ANY, array_of, json_of, read_arrays, real_number, record_of, whole_number, write_whole
+from .guide import CELLS, Guide
 from .network import Network
+from .warp import DENSITY_WORDS
+
+# What of a checkpoint is kept as JSON.
+ABOUT = ("identity", "method", "edges", "prediction")
 
 
 class CheckpointError(ValueError):
@@ -31,8 +36,8 @@ class Checkpoint:
         All that decides the image's bits, by name.
     method : {"mc", "ncv"}
         What was chosen.
-    passes : int
-        Passes done.
+    edges : list of int
+        Where the passes done began and ended, in samples a point on average: 0, ...
     states : list of (ndarray, ndarray)
         Each estimator's state and its points' numbers of samples.
     before : Estimate, optional
@@ -51,7 +56,7 @@ class Checkpoint:
 
     identity: dict[str, object]
     method: str
-    passes: int
+    edges: list[int]
     states: list[tuple[np.ndarray, np.ndarray]]
     before: Estimate | None
     network: Network | None
@@ -61,9 +66,13 @@ class Checkpoint:
     parts: list[np.ndarray]
     guide: Guide | None
 
+    @property
+    def passes(self) -> int:
+        """Passes done."""
+        return len(self.edges) - 1
+
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
-        path = Path(path)
         arrays: dict[str, np.ndarray] = {}
         for number, (state, samples) in enumerate(self.states):
             arrays |= {f"state{number}": state, f"samples{number}": samples}
@@ -78,28 +87,13 @@ class Checkpoint:
             arrays["alpha"] = self.alpha
         if self.guide is not None:
             arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
-        about = {
-            "identity": self.identity,
-            "method": self.method,
-            "passes": self.passes,
-            "prediction": self.prediction,
-        }
+        about = {name: getattr(self, name) for name in ABOUT}
         arrays["checkpoint"] = np.array(json.dumps(about))
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=path.name, suffix=".part", delete=False
-        ) as file:
-            try:
-                if self.network is None:
-                    np.savez(file, **arrays)
-                else:
-                    companions = self.density.arrays() if self.density is not None else {}
-                    self.network.write(file, **arrays, **companions)
-                file.flush()
-                os.fsync(file.fileno())
-                os.replace(file.name, path)
-            except BaseException:
-                Path(file.name).unlink(missing_ok=True)
-                raise
+        if self.network is None:
+            write_whole(path, lambda file: np.savez(file, **arrays))
+            return
+        arrays |= self.density.arrays() if self.density is not None else {}
+        write_whole(path, lambda file: self.network.write(file, **arrays))
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
@@ -111,33 +105,58 @@ class Checkpoint:
             If the file is none of ours.
         """
         try:
-            with np.load(path) as file:
-                arrays = {name: file[name] for name in file.files}
-            about = json.loads(str(arrays["checkpoint"]))
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            return cls._of_arrays(read_arrays(path))
+        except ValueError as error:
             raise CheckpointError(f"{path} is not a checkpoint of ncv_cl: {error}") from error
-        states = []
-        while f"state{len(states)}" in arrays:
-            states.append((arrays[f"state{len(states)}"], arrays[f"samples{len(states)}"]))
-        before = None
-        if "before_mean" in arrays:
-            before = Estimate(*(arrays[f"before_{name}"] for name in ("mean", "variance", "samples")))
-        has_network = "about" in arrays
+
+    @classmethod
+    def _of_arrays(cls, arrays: dict[str, np.ndarray]) -> Checkpoint:
+        """What `save` put into a file; ValueError for what is missing or not as it should be."""
+        about = record_of(json_of(arrays, "checkpoint"), "checkpoint", ABOUT)
+        if about["method"] not in ("mc", "ncv") or not isinstance(about["identity"], dict):
+            raise ValueError("its method or identity is not one")
+        network = density = None
+        if about["method"] == "ncv":
+            network = Network.of_arrays(arrays)
+            density = DensityNetwork.of_arrays(arrays, network.description)
+        guide = None
+        if "guide_means" in arrays:
+            densities = array_of(arrays, "guide_densities", np.uint32, (CELLS, DENSITY_WORDS))
+            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (CELLS, 3)))
+        points = (ANY, ANY)
         return cls(
             about["identity"],
             about["method"],
-            about["passes"],
-            states,
-            before,
-            Network.load(path) if has_network else None,
-            DensityNetwork.load(path) if has_network else None,
-            about["prediction"],
-            arrays.get("alpha"),
-            [arrays[name] for name in ("part0", "part1") if name in arrays],
-            Guide(*(arrays[f"guide_{name}"] for name in Guide._fields))
-            if "guide_means" in arrays
-            else None,
+            _edges(about["edges"]),
+            [_state(arrays, number) for number in (0, 1) if number == 0 or "state1" in arrays],
+            _before(arrays) if "before_mean" in arrays else None,
+            network,
+            density,
+            _prediction(about["prediction"]),
+            array_of(arrays, "alpha", np.float32, points) if "alpha" in arrays else None,
+            [
+                array_of(arrays, name, np.float64, (ANY, *points))
+                for name in ("part0", "part1")
+                if name in arrays
+            ],
+            guide,
         )
+
+    def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
+        """Refuse arrays that are not of this many points, of which kernels would read too many.
+
+        Raises
+        ------
+        CheckpointError
+            Naming what does not fit.
+        """
+        expected = (channels, points)
+        alike = {"alpha": self.alpha, "before_mean": None if self.before is None else self.before.mean}
+        for name, array in alike.items():
+            if array is not None and array.shape != expected:
+                raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
+        if self.method == "ncv" and with_density and self.density is None:
+            raise CheckpointError("the checkpoint lacks the density of its network")
 
     def check(self, identity: dict[str, object]) -> None:
         """Refuse to go on with a render that would not be the same.
@@ -155,3 +174,45 @@ class Checkpoint:
                 f"{name} is {asked.get(name)!r}, was {self.identity.get(name)!r}" for name in names
             )
             raise CheckpointError(f"the checkpoint is of another render: {differences}")
+
+
+def _edges(found: object) -> list[int]:
+    if not isinstance(found, list) or not found or found[0] != 0:
+        raise ValueError("its passes do not begin at 0")
+    edges = [whole_number("a pass's end", one, 0, 1 << 62) for one in found]
+    if any(one >= following for one, following in itertools.pairwise(edges)):
+        raise ValueError("its passes are not one after another")
+    return edges
+
+
+def _numbers_of_samples(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    samples = array_of(arrays, name, np.float64, (ANY,))
+    if (samples < 0).any() or (samples % 1 != 0).any():
+        raise ValueError(f"{name!r} must hold whole numbers")
+    return samples
+
+
+def _state(arrays: dict[str, np.ndarray], number: int) -> tuple[np.ndarray, np.ndarray]:
+    samples = _numbers_of_samples(arrays, f"samples{number}")
+    return array_of(arrays, f"state{number}", np.float32, (ANY, len(samples))), samples
+
+
+def _before(arrays: dict[str, np.ndarray]) -> Estimate:
+    samples = _numbers_of_samples(arrays, "before_samples")
+    mean = array_of(arrays, "before_mean", np.float64, (ANY, len(samples)))
+    # Not known where there are fewer than two samples.
+    variance = array_of(arrays, "before_variance", np.float64, mean.shape, nan_allowed=True)
+    if (variance < 0).any():
+        raise ValueError("'before_variance' holds negative values")
+    return Estimate(mean, variance, samples)
+
+
+def _prediction(found: object) -> dict[str, object] | None:
+    if found is None:
+        return None
+    found = record_of(found, "prediction", (field.name for field in fields(Prediction)))
+    if found["method"] not in ("mc", "ncv") or not isinstance(found["first_pass"], bool):
+        raise ValueError("its prediction is not one")
+    for name in ("mc_seconds", "ncv_seconds", "variance_gain"):
+        real_number(name, found[name], 0.0, math.inf)
+    return found

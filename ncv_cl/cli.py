@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import functools
+import itertools
 import json
-import math
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -12,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
+from .certificate import PRECISIONS
 from .choose import devices
-from .device import DeviceError
-from .image import check_output_path, read_reference
+from .console import EXPECTED, complain, one_line, run, say, summary
+from .files import check_paths, read_arrays, write_whole
+from .image import Image, check_output_path, read_reference
 from .integrands import INTEGRANDS, AmbientOcclusion, GlobalIllumination, Integrand
 from .integrands.ao import MAPPINGS
 from .integrate import integrate
 from .integrator import METHODS as INTEGRATION_METHODS
-from .integrator import PRECISIONS
 from .interrupt import StopOnSignal
 from .presets import PRESETS
 from .render import render
@@ -37,11 +39,7 @@ _BENCH = Path(__file__).parent.parent / "bench"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit status (2 for bad input)."""
     options = _parser().parse_args(arguments)
-    try:
-        return options.command(options)
-    except (ValueError, DeviceError, OSError) as error:
-        print(f"ncv-cl: error: {error}", file=sys.stderr)
-        return 2
+    return run(lambda: options.command(options))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -109,13 +107,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
     add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
     add("--threads", type=int, metavar="T", help="host threads that trace rays (default: all cores)")
-    add("--radius", type=float, default=math.inf, help="ambient occlusion: farthest occluder")
-    add(
-        "--mapping",
-        choices=MAPPINGS,
-        default="height",
-        help="ambient occlusion: hemisphere mapping",
-    )
+    add("--radius", type=float, help="ambient occlusion: farthest occluder (default: any)")
+    add("--mapping", choices=MAPPINGS, help="ambient occlusion: hemisphere mapping (default: height)")
     add(
         "--max-depth", type=int, metavar="D", help="global illumination: most edges of a path, 2: direct"
     )
@@ -161,17 +154,16 @@ def _add_integrate(commands: argparse._SubParsersAction) -> None:
 
 
 def _read_layers(path: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Weights and biases from an ``.npz``."""
-    try:
-        with np.load(path) as file:
-            layers = sum(name.startswith("weights") for name in file.files)
-            weights = [file[f"weights{k}"] for k in range(layers)]
-            biases = [file[f"biases{k}"] for k in range(layers)]
-    except (OSError, ValueError, KeyError, AttributeError, EOFError) as error:
-        raise ValueError(f"{path} does not hold {_LAYERS_HELP}: {error}") from error
-    if not layers:
-        raise ValueError(f"{path} does not hold {_LAYERS_HELP}: there is no weights0")
-    return weights, biases
+    """Weights and biases from an ``.npz``; what their shapes and values must be `integrate` says."""
+    arrays = read_arrays(path)
+    layers = itertools.takewhile(lambda k: f"weights{k}" in arrays, itertools.count())
+    names = [(f"weights{k}", f"biases{k}") for k in layers]
+    missing = [bias for _, bias in names if bias not in arrays] if names else ["weights0"]
+    others = set(arrays) - set(itertools.chain(*names))
+    if missing or others:
+        found = f"there is no {missing[0]}" if missing else f"{sorted(others)[0]} is none of these"
+        raise ValueError(f"{path} does not hold {_LAYERS_HELP}: {found}")
+    return [arrays[weight] for weight, _ in names], [arrays[bias] for _, bias in names]
 
 
 def _add_bench(commands: argparse._SubParsersAction) -> None:
@@ -201,14 +193,18 @@ def _bench(options: argparse.Namespace) -> int:
 
 
 def _subdivide(options: argparse.Namespace) -> int:
+    if Path(options.output).suffix not in (".png", ".svg"):
+        raise ValueError(f"{options.output} must end in .svg or .png")
+    check_paths({"--output": options.output}, {"the network": options.network})
     subdivision = subdivide(*_read_layers(options.network), device=options.device)
     draw_subdivision(subdivision, options.output, channel=options.channel)
-    print(f"{len(subdivision.faces)} faces, integral {subdivision.integral().tolist()}")
-    print(f"wrote {options.output}")
+    say(f"{len(subdivision.faces)} faces, integral {subdivision.integral().tolist()}")
+    say(f"wrote {options.output}")
     return 0
 
 
 def _integrate(options: argparse.Namespace) -> int:
+    check_paths({"--output": options.output}, {"the network": options.network})
     integrals, statistics = integrate(
         *_read_layers(options.network),
         method=options.method,
@@ -218,11 +214,10 @@ def _integrate(options: argparse.Namespace) -> int:
     )
     if options.output:
         # An open file, since numpy adds a suffix to names that have another one.
-        with open(options.output, "wb") as file:
-            np.save(file, integrals)
-        print(f"wrote {options.output}")
+        write_whole(options.output, lambda file: np.save(file, integrals))
+        say(f"wrote {options.output}")
     else:
-        print("\n".join(" ".join(map(repr, map(float, row))) for row in integrals))
+        say("\n".join(" ".join(map(repr, map(float, row))) for row in integrals))
     print(
         f"{statistics.points} points, {statistics.faces} faces, {statistics.robust_points} done again "
         "on the robust path",
@@ -249,24 +244,40 @@ def _train_spp(text: str) -> float | str:
 
 def _integrand(options: argparse.Namespace) -> Integrand:
     if options.integrand == AmbientOcclusion.name:
-        return AmbientOcclusion(options.radius, options.mapping)
+        given = {name: getattr(options, name) for name in ("radius", "mapping")}
+        return AmbientOcclusion(**{k: v for k, v in given.items() if v is not None})
     if options.integrand == GlobalIllumination.name:
         return GlobalIllumination(options.max_depth, clamp=options.clamp)
     return INTEGRANDS[options.integrand]()
 
 
+def _check_render(options: argparse.Namespace) -> None:
+    """What can be refused is refused before the work, not after it."""
+    own = {"radius": "ao", "mapping": "ao", "max_depth": "gi", "clamp": "gi"}
+    for name, integrand in own.items():
+        if getattr(options, name) is not None and options.integrand != integrand:
+            raise ValueError(f"--{name.replace('_', '-')} is for --integrand {integrand} only")
+    for path in options.output:
+        check_output_path(path)
+    outputs = {f"output {number}": path for number, path in enumerate(options.output, 1)}
+    check_paths(
+        {
+            **outputs,
+            "--json": options.json,
+            "--save-network": options.save_network,
+            "--checkpoint": options.checkpoint,
+        },
+        {"the scene": options.scene, "--reference": options.reference},
+    )
+
+
 def _render(options: argparse.Namespace) -> int:
+    _check_render(options)
     with StopOnSignal() as stop:
         return _render_and_write(options, stop)
 
 
 def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
-    # What can be refused is refused before the work, not after it.
-    for path in filter(None, (*options.output, options.json, options.save_network, options.checkpoint)):
-        if not Path(path).resolve().parent.is_dir():
-            raise ValueError(f"{path}: the folder does not exist; make it first")
-    for path in options.output:
-        check_output_path(path)
     width, height = options.size
     reference = read_reference(options.reference, (height, width)) if options.reference else None
     image = (render_split if options.split_direct else render)(
@@ -296,54 +307,32 @@ def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
         progress=True,
         stop=stop,
     )
-    for path in options.output:
-        image.write(path)
-    if options.json:
-        Path(options.json).write_text(json.dumps(image.stats, indent=1) + "\n", encoding="utf-8")
+    failed = _write_all(image, options)
     if stop.asked:
-        print(f"stopped early: {image.stats['samples_per_point']} samples a point are in the image")
-    print(_summary(image.stats))
-    print("wrote " + ", ".join(options.output))
-    return 0
+        say(f"stopped early: {image.stats['samples_per_point']} samples a point are in the image")
+    say(summary(image.stats))
+    say("wrote " + (", ".join(path for path in options.output if path not in failed) or "nothing"))
+    return 2 if failed or image.stats.get("not_written") else 0
 
 
-def _summary(stats: dict) -> str:
-    """The statistics as a short table."""
-    lines = [f"device   {stats['device']}"]
-    lines += [f"{stage:<10}{seconds:>9.3f} s" for stage, seconds in stats["seconds"].items()]
-    lines += [
-        f"{stats['points']} shading points ({stats['points_skipped']} skipped), "
-        f"{stats['samples_per_point']:.4g} samples each on average, "
-        f"{stats['rays_traced']} rays traced "
-        f"({stats['rays_on_device']} on the device, {stats['rays_skipped']} skipped)"
-    ]
-    skipped = stats["skipped"]
-    lines.append(
-        f"skipped  {skipped['background_points']} background points, "
-        f"{skipped['points_on_lights']} on lights, {skipped['points_without_light']} that see no light; "
-        f"rays worth {skipped['ray_seconds']:.3f} s; "
-        f"inputs that do not vary: {', '.join(skipped['inputs']) or 'none'}"
-    )
-    if "lines" in skipped:
-        lines.append(
-            f"         {100 * skipped['lines']:.0f} % of first-layer lines miss the square, "
-            f"{100 * skipped['dead_neurons']:.0f} % of neurons are zero in it; "
-            f"{skipped.get('networks', 0)} networks of coefficient zero"
-        )
-    if skipped.get("converged_points"):
-        lines.append(
-            f"         {skipped['converged_points']} points predicted to converge with the fewest, "
-            f"{skipped['converged_samples']} samples less than the average"
-        )
-    if "residual_variance_ratio" in stats:
-        lines.append(f"residual variance / plain variance {stats['residual_variance_ratio']:.4f}")
-    if "mse" in stats:
-        lines.append(f"MSE {stats['mse']:.6g}  relMSE {stats['relmse']:.6g}")
-    return "\n".join(lines)
+def _write_all(image: Image, options: argparse.Namespace) -> list[str]:
+    """Write every file that can be; returns those that could not, after a line on each."""
+    writers = {path: functools.partial(image.write, path) for path in options.output}
+    if options.json:
+        text = json.dumps(image.stats, indent=1, allow_nan=False) + "\n"
+        writers[options.json] = lambda: write_whole(options.json, lambda f: f.write(text.encode()))
+    failed = []
+    for path, write in writers.items():
+        try:
+            write()
+        except EXPECTED as error:
+            complain(one_line(error))
+            failed.append(path)
+    return failed
 
 
 def _devices(options: argparse.Namespace) -> int:
-    print(devices())
+    say(str(devices()))
     return 0
 
 

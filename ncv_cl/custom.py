@@ -20,8 +20,9 @@ from .passes import pass_edges
 from .points import ROW, ROW_COUNT, ShadingPoints
 from .presets import PRESETS
 from .program import build
+from .report import finite
 from .resolve import combine, estimate_of
-from .sampler import sampler_defines, seed_words
+from .sampler import Stream, sampler_defines, seed_words
 from .samples import Batch, Batches, ray_defines
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
@@ -30,6 +31,10 @@ from .warp import Warp
 
 # Samples a point on average in one call of the callable, about.
 SAMPLES_A_PASS = 128
+# How many values a callable's constant is the median of: an odd number at each of some points.
+OFFSET_POINTS, OFFSET_SAMPLES = 256, 17
+# Squares of larger values, and sums of these, are beyond float32.
+LARGEST_VALUE = 1e15
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
@@ -55,7 +60,16 @@ class HostIntegrand(Integrand):
 
 
 class CallableSource(Batches):
-    """Draws samples of a callable, as `SampleSource` does of a scene's integrand."""
+    """Draws samples of a callable less a constant, as `SampleSource` does of a scene's integrand.
+
+    Attributes
+    ----------
+    offset : ndarray
+        float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
+        points. What is integrated is then near zero whatever f is, and float32 holds its differences.
+        Any constant leaves the estimate as it is once it is added again; this one rests on samples that
+        nothing else uses.
+    """
 
     def __init__(
         self,
@@ -75,6 +89,17 @@ class CallableSource(Batches):
         }
         with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
             slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
+        self.offset = np.zeros(channels)
+
+    def centre(self) -> None:
+        """Take off the medians of f's channels, over `OFFSET_SAMPLES` at each of some of the points."""
+        points = self.points.active
+        chosen = np.linspace(0, points, min(points, OFFSET_POINTS), endpoint=False)
+        order = HostArray.of(self.device, chosen.astype(np.uint32))
+        parts = self.parts(range(len(chosen)), range(OFFSET_SAMPLES))
+        values = [self._values(*part, Stream.OFFSET, order)[0] for part in parts]
+        flat = np.concatenate([one.reshape(-1, self.channels) for one in values])
+        self.offset = self.offset + np.median(flat, axis=0)
 
     def draw(
         self,
@@ -85,6 +110,25 @@ class CallableSource(Batches):
         density: Warp | None = None,
     ) -> Batch:
         order = self._every_point if order is None else order
+        values, warp = self._values(points, samples, stream, order, density)
+        stride = self._stride_of(len(samples))
+        count, shape = len(points) * stride, (len(points), stride)
+        with self._value.mapped(write=True) as view:
+            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+            planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
+            planes[..., len(samples) :] = 0
+        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(points, order, len(samples), stride, *arrays, *warp)
+
+    def _values(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray,
+        density: Warp | None = None,
+    ) -> tuple[np.ndarray, list[HostArray]]:
+        """f less the constant, float64 (points, samples, channels), and with a density the weights."""
         stride = self._stride_of(len(samples))
         warp, files, defines = [], (), {}
         if density is not None:
@@ -110,26 +154,31 @@ class CallableSource(Batches):
         chosen = order.read()[points.start : points.stop]
         index = np.broadcast_to(chosen[:, None], u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
-        with self._value.mapped(write=True) as view:
-            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
-            planes[..., : len(samples)] = values.T.reshape(self.channels, *u.shape)
-            planes[..., len(samples) :] = 0
-        arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, len(samples), stride, *arrays, *warp[1:])
+        return values.reshape(*u.shape, self.channels), warp[1:]
 
     def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """float32 (samples, channels), checked."""
+        """f less the constant, float64 (samples, channels), checked."""
         values = np.asarray(self._function(u, v, index))
         if values.shape not in ((u.size, self.channels), *(((u.size,),) if self.channels == 1 else ())):
             raise IntegrandError(
                 f"f must return {(u.size, self.channels)} values for {u.size} samples, "
                 f"returned {values.shape}"
             )
-        values = values.reshape(u.size, self.channels).astype(np.float32)
-        if not np.isfinite(values).all():
-            worst = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+        if values.dtype.kind not in "bfiu":
+            raise IntegrandError(f"f must return real numbers, returned {values.dtype}")
+        values = values.reshape(u.size, self.channels).astype(np.float64) - self.offset
+        for what, bad in (
+            ("not finite", ~np.isfinite(values)),
+            (f"beyond its median by more than {LARGEST_VALUE:.0e}", np.abs(values) > LARGEST_VALUE),
+        ):
+            if not bad.any():
+                continue
+            samples = np.flatnonzero(bad.any(axis=1))
+            first = samples[0]
             raise IntegrandError(
-                f"f is not finite at u = {u[worst]}, v = {v[worst]}, point {index[worst]}"
+                f"f is {what} at {len(samples)} of {u.size} samples of "
+                f"{len(np.unique(index[samples]))} points, "
+                f"first at u = {u[first]}, v = {v[first]}, point {index[first]}"
             )
         return values
 
@@ -141,8 +190,9 @@ class Integrals:
     Attributes
     ----------
     mean, variance : ndarray
-        float64 (points, channels): the estimates, and the variances of these. Under Sobol sampling the
-        latter are calibrated by a share of the points: with less than some hundreds they are coarse.
+        float64 (points, channels): the estimates, and the variances of these, NaN where they rest on one
+        sample. Under Sobol sampling the latter are calibrated by a share of the points: with less than
+        some hundreds they are coarse.
     network_integral : ndarray or None
         float64 (points, channels), the exact integral of the control variate.
     stats : dict
@@ -197,7 +247,7 @@ def estimate(
     Raises
     ------
     IntegrandError
-        If f returns another shape than it should, or a number that is not finite.
+        If f returns another shape than it should, or numbers that are not finite.
     ValueError
         For bad arguments.
     """
@@ -215,6 +265,7 @@ def estimate(
     started = time.perf_counter()
     shading, cube = _points_of(device, points, features)
     source = CallableSource(device, shading, f, channels, sampler, seed)
+    source.centre()
     variate = training = None
     about: dict[str, object] = {}
     if method == "ncv":
@@ -228,10 +279,13 @@ def estimate(
     estimation = Estimation(device, source, settings, chosen, edges, folded, table, watch)
     estimation.passes.run("estimate")
     results = estimation.results()
-    by_count = None if PRESETS[preset].density else float(spp)
+    by_count = not PRESETS[preset].density
     integral = variate.integral if variate else None
+    offset = source.offset[:, None]
     residual = results[1] if variate else None
-    mean, variance = combine(*estimate_of(results[0], residual, integral), training, by_count)
+    mean, variance = combine(
+        *estimate_of(results[0], residual, integral), training, float(spp), by_count
+    )
     stats: dict[str, object] = {
         "seconds": {**watch.seconds, "total": time.perf_counter() - started},
         "samples_per_point": float(results[0].samples.mean()),
@@ -239,11 +293,12 @@ def estimate(
         "training": about,
         "device": device.identity,
     }
-    if residual is not None and training is not None and training.variance.any():
-        stats["residual_variance_ratio"] = float(residual.variance.mean() / training.variance.mean())
-    return Integrals(
-        mean.T, variance.T, None if integral is None else integral.T.astype(np.float64), stats
-    )
+    if residual is not None and training is not None and training.known.any():
+        spread = training.variance[:, training.known].mean()
+        left = residual.variance[:, residual.known].mean() if residual.known.any() else np.nan
+        stats["residual_variance_ratio"] = float(left / spread) if spread else None
+    network_integral = None if integral is None else (integral + offset).T
+    return Integrals((mean + offset).T, variance.T, network_integral, finite(stats))
 
 
 def _points_of(
@@ -252,14 +307,19 @@ def _points_of(
     """Points whose positions are the features, and the cube around these."""
     positions = np.zeros((points, 3), np.float32)
     if features is not None:
-        features = np.asarray(features, np.float32)
+        features = np.asarray(features)
+        if features.dtype.kind not in "bfiu":
+            raise ValueError(f"features must be real numbers, are {features.dtype}")
+        # Far from zero, features differ by less than float32 can say until they are centred.
+        features = features.astype(np.float64)
         if features.ndim != 2 or len(features) != points or not 1 <= features.shape[1] <= 3:
             raise ValueError(f"features must be ({points}, 1 to 3), is {features.shape}")
         if not np.isfinite(features).all():
             raise ValueError("features must be finite")
-        # Each axis at its own scale: what differs by much on one may differ by little on another.
-        lower, upper = features.min(axis=0), features.max(axis=0)
-        positions[:, : features.shape[1]] = (features - lower) / np.where(
+        # Each axis at its own scale: what differs by much on one may differ by little on another. In
+        # halves, or the difference of two numbers might be beyond float64.
+        lower, upper = 0.5 * features.min(axis=0), 0.5 * features.max(axis=0)
+        positions[:, : features.shape[1]] = (0.5 * features - lower) / np.where(
             upper > lower, upper - lower, 1
         )
     surface = np.zeros((ROW_COUNT, points), np.float32)

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from .clock import CHECKED_STEPS
 from .device import Device, HostArray
 from .encode import Encoder
+from .files import array_of, read_arrays, real_number
 from .network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
 from .points import ShadingPoints
 from .program import Program, build
+from .sampler import HostStream, host_generator
 from .train import TrainingSamples
 from .warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
 GROUPS = 16
 CELLS = DENSITY_BINS**2
+# A file's density leaves at least this much uniform, or weights have no bound.
+SMALLEST_UNIFORM_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -115,15 +121,36 @@ class DensityNetwork:
         NetworkError
             If the arrays do not fit each other.
         """
-        with np.load(path) as file:
-            if "density_parameters" not in file:
-                return None
-            parameters, features = file["density_parameters"], file["density_features"]
-            unit, hidden, uniform_share = file["density_scalars"].tolist()
+        try:
+            arrays = read_arrays(path)
+            return cls.of_arrays(arrays, Network.of_arrays(arrays).description)
+        except ValueError as error:
+            raise NetworkError(f"{path} is not a network saved by ncv_cl: {error}") from error
+
+    @classmethod
+    def of_arrays(
+        cls, arrays: Mapping[str, np.ndarray], description: NetworkDescription
+    ) -> DensityNetwork | None:
+        """What `arrays` put beside a network of this description; None where there is none.
+
+        Raises
+        ------
+        ValueError
+            Naming what is missing, of another type or shape, or out of range.
+        """
+        if not any(name.startswith("density_") for name in arrays):
+            return None
+        unit, hidden, uniform_share = array_of(arrays, "density_scalars", np.float64, (3,)).tolist()
+        real_number("the density's unit", unit, 0.0, float(np.finfo(np.float32).max))
+        real_number("the density's uniform share", uniform_share, SMALLEST_UNIFORM_SHARE, 1.0)
+        if hidden not in range(16, 513, 16):
+            raise ValueError(f"the density's hidden units must be 16, 32, ... 512, are {hidden}")
         settings = DensitySettings(hidden=int(hidden), uniform_share=uniform_share)
-        if parameters.shape != (settings.parameter_count(features.shape[1]),):
-            raise NetworkError(f"{path}: the density's arrays do not fit each other")
-        return cls(parameters, *features, unit, settings)
+        features = description.encoding.feature_count
+        count = settings.parameter_count(features)
+        parameters = array_of(arrays, "density_parameters", np.float32, (count,))
+        scales = array_of(arrays, "density_features", np.float32, (2, features))
+        return cls(parameters, *scales, unit, settings)
 
 
 @dataclass(frozen=True)
@@ -247,7 +274,7 @@ class DensityTrainer:
     def _start(self, features: int) -> np.ndarray:
         """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
         hidden = self.settings.hidden
-        generator = np.random.Generator(np.random.Philox(0))
+        generator = host_generator(0, HostStream.DENSITY)
         parameters = np.zeros(self.settings.parameter_count(features), np.float32)
         units, rows = features * hidden, (features + 1) * hidden
         parameters[:units] = generator.uniform(-1, 1, units) * math.sqrt(3 / features)
@@ -276,8 +303,8 @@ class DensityTrainer:
         )
         return squared
 
-    def fit(self) -> DensityNetwork:
-        """Run the schedule over the stored samples."""
+    def fit(self, check: Callable[[], None] | None = None) -> DensityNetwork:
+        """Run the schedule over the stored samples; `check` is called now and then, and may raise."""
         settings, samples = self.settings, self._samples
         batches = max(1, round(samples.count / settings.columns))
         edges = np.linspace(0, samples.count, batches + 1).astype(int)
@@ -287,6 +314,9 @@ class DensityTrainer:
         steps = itertools.islice(itertools.cycle(batches_and_samples), total)
         for number, (sample, (begin, end)) in enumerate(steps, 1):
             self._step(sample, begin, end - begin, number, total)
+            if check is not None and number % CHECKED_STEPS == 0:
+                self.device.queue.finish()
+                check()
         return DensityNetwork(
             self._parameters.read(),
             self._mean.read(),

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from .device import Device, HostArray
+from .files import some_of, whole_number
 from .points import ShadingPoints, surface_defines
 from .program import Program, build
 
 # Components that each input has before its encoding, in feature order.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
+# What the kernels can hold: vectors of so many features, indices of 32 bits.
+ENTRY_FEATURES = (1, 2, 4, 8, 16)
+MOST_CELLS = 1 << 30
+MOST_TABLE_FLOATS = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,24 @@ class Encoding:
     grid_base: int = 8
     grid_entries: int = 1 << 15
     blob_bins: int = 4
+
+    def __post_init__(self) -> None:
+        # Whatever a file says ends up in kernels' constants.
+        some_of("inputs", self.inputs, INPUTS)
+        if "position" not in self.inputs:
+            raise ValueError(f"inputs must hold position, are {self.inputs!r}")
+        for name, most in (("levels", 32), ("base", MOST_CELLS), ("entries", 1 << 24)):
+            whole_number(f"grid_{name}", getattr(self, f"grid_{name}"), 1, most)
+        if self.grid_features not in ENTRY_FEATURES:
+            raise ValueError(f"grid_features must be of {ENTRY_FEATURES}, is {self.grid_features!r}")
+        if self.grid_base << (self.grid_levels - 1) > MOST_CELLS:
+            raise ValueError(
+                f"the finest of grid_levels {self.grid_levels} over grid_base {self.grid_base} has more "
+                f"than {MOST_CELLS} cells an axis"
+            )
+        if self.grid_entries * self.grid_rows > MOST_TABLE_FLOATS:
+            raise ValueError(f"the hash grid's table would hold more than {MOST_TABLE_FLOATS} numbers")
+        whole_number("blob_bins", self.blob_bins, 1, 64)
 
     @property
     def grid_rows(self) -> int:

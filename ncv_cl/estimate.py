@@ -22,7 +22,8 @@ class Estimate:
     Attributes
     ----------
     mean, variance : ndarray
-        float64 (channels, points): the mean, and the variance of a single sample (unbiased).
+        float64 (channels, points): the mean, and the variance of a single sample (unbiased; NaN where
+        it is not known, for want of two samples).
     samples : ndarray
         float64 (points,), samples of each point.
     calibrated : ndarray, optional
@@ -39,20 +40,27 @@ class Estimate:
     def variance_of_mean(self) -> np.ndarray:
         """Variance of `mean`; where not calibrated, as if samples were independent (for Sobol a bound).
 
-        Zero samples have no variance to speak of: zeros.
+        NaN where it is not known.
         """
         if self.calibrated is not None:
             return self.calibrated
         return self.variance / np.maximum(self.samples, 1)
+
+    @property
+    def known(self) -> np.ndarray:
+        """Where there are samples enough for a variance, bool (points,)."""
+        return self.samples > 1
 
     def merged(self, other: Estimate) -> Estimate:
         """Of all samples of both, where these are independent of each other."""
         samples = self.samples + other.samples
         share = other.samples / np.maximum(samples, 1)
         # Each variance is unbiased, and so is any mean of them whose weights the samples do not decide.
+        both = (1 - share) * self.variance + share * other.variance
+        one = np.where(self.known, self.variance, other.variance)
         return Estimate(
             (1 - share) * self.mean + share * other.mean,
-            (1 - share) * self.variance + share * other.variance,
+            np.where(self.known & other.known, both, one),
             samples,
         )
 
@@ -144,8 +152,13 @@ class Estimator:
         return self._state.read()[:, self._chosen], self.samples[self._chosen]
 
     def restore(self, state: np.ndarray, samples: np.ndarray) -> None:
-        """Go on from another estimator's `state`."""
+        """Go on from another estimator's `state`; ValueError if it is not of as many points."""
         whole = self._state.read()
+        expected = whole[:, self._chosen].shape
+        if state.shape != expected or samples.shape != expected[1:]:
+            raise ValueError(
+                f"the checkpoint's state must be {expected}, is {state.shape}: it was tampered with"
+            )
         whole[:, self._chosen] = state
         with self._state.mapped(write=True) as view:
             view[...] = whole
@@ -164,5 +177,6 @@ class Estimator:
             state = view[quantity * rows : (quantity + 1) * rows]
             state = state.reshape(self.channels, STATE_FLOATS, -1)
             mean = state[:, 0].astype(np.float64) + state[:, 1]
-            variance = state[:, 2] / np.maximum(self.samples - 1, 1)
+            spread = state[:, 2] / np.maximum(self.samples - 1, 1)
+        variance = np.where(self.samples > 1, spread, np.nan)
         return Estimate(mean, variance, self.samples.copy())

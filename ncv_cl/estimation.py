@@ -10,7 +10,7 @@ import numpy as np
 from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
 from .density import Density
-from .device import Device
+from .device import Device, HostArray
 from .estimate import Estimate, Estimator
 from .network import FoldedNetwork
 from .passes import Passes, Target
@@ -40,6 +40,8 @@ class Estimation:
     Attributes
     ----------
     passes : Passes
+    done : int
+        How many of them.
     twice : ndarray
         uint32, the points that are estimated twice.
     """
@@ -56,26 +58,32 @@ class Estimation:
         watch: Stopwatch,
     ) -> None:
         points, channels = source.points, settings.integrand.channels
-        self._settings = settings
+        self._device, self._settings = device, settings
         self._points = points
         self._magnitude = density.magnitude if density is not None else None
         self._first = Estimator(device, points, channels, folded)
         self._second: Estimator | None = None
-        targets = [Target(self._first, allocation, Stream.RESIDUAL)]
+        once, again = (
+            (Stream.PLAIN, Stream.PLAIN_AGAIN)
+            if folded is None
+            else (Stream.RESIDUAL, Stream.RESIDUAL_AGAIN)
+        )
+        targets = [Target(self._first, allocation, once)]
         self.twice = np.empty(0, np.uint32)
         # Independent samples tell their variance themselves; others need points that are done twice.
         if points.active and settings.sampler != "independent":
             self.twice = points_done_twice(points.active, settings.seed)
             self._second = Estimator(device, points, channels, folded, self.twice)
             restricted = allocation.restricted(self.twice, points.active)
-            targets.append(Target(self._second, restricted, Stream.CALIBRATION))
+            targets.append(Target(self._second, restricted, again))
         warp = None
         if density is not None and folded is not None:
             warp = _warp(device, settings.residual_density, folded, density)
         self.passes = Passes(device, source, targets, edges, warp, watch, self._keep_parts)
         # Means after the last powers of two of passes: parts of what there is.
         self.parts: list[np.ndarray] = []
-        self._done = 0
+        self.done = 0
+        self._warp = warp
         # By a density samples lie where errors are, and their variance tells these well.
         self._looks_at_parts = self._second is not None and warp is None
 
@@ -100,7 +108,7 @@ class Estimation:
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
         second = self._second.result(quantity)
         # The last one may be all there is.
-        parts = self.parts[:-1] if _is_power_of_two(self._done) else self.parts
+        parts = self.parts[:-1] if _is_power_of_two(self.done) else self.parts
         if parts:
             expected = halves(first.mean, parts[-1][quantity], *self._grid)
             repeated = expected[:, self.twice]
@@ -117,6 +125,7 @@ class Estimation:
         What only drawing samples needs is let go of before.
         """
         del self.passes
+        self._warp = None
         for estimator in (self._first, self._second):
             if estimator is not None:
                 estimator.network = None
@@ -125,7 +134,7 @@ class Estimation:
 
     def _keep_parts(self, done: int) -> None:
         """Keep the means after the last two powers of two of passes."""
-        self._done = done
+        self.done = done
         if self._looks_at_parts and _is_power_of_two(done):
             self.parts = [*self.parts[-1:], self._first.means()]
 
@@ -144,6 +153,30 @@ class Estimation:
         predicted = self._magnitude**2
         return prior / max(prior.mean(), 1e-300) + predicted / max(predicted.mean(), 1e-300)
 
+    def warm_up(self, source: Batches) -> None:
+        """Compile what passes run: compilation would be taken for what samples cost."""
+        rays = replace(source.rays)
+        channels = self._settings.integrand.channels
+        estimator = Estimator(self._device, self._points, channels, self._first.network)
+        order = HostArray.of(self._device, np.zeros(1, np.uint32))
+        estimator.add(source.draw(range(1), range(1), Stream.WARM_UP, order, self._warp))
+        self._device.queue.finish()
+        source.rays = rays
+
+    @property
+    def follows_density(self) -> bool:
+        """Whether samples go where a learned density says, and not everywhere alike."""
+        return self._warp is not None
+
+    @property
+    def samples(self) -> float:
+        """Of all points together, so far."""
+        return float(self._first.samples.sum())
+
+    def finds_something(self) -> bool:
+        """Whether an estimate of any point is not zero."""
+        return bool(self._first.means().any())
+
     def first_estimate(self) -> Estimate:
         """Of f, without what is done twice."""
         return self._first.result()
@@ -155,7 +188,7 @@ class Estimation:
         return (self._first.result().mean - self._second.result().mean)[:, self.twice]
 
     def image_error(self) -> float:
-        """The mean square error of the image's pixels so far, as its variances say."""
+        """The mean square error of the image's pixels so far, as its variances say; NaN: not known."""
         variance = self._final().variance_of_mean
         settings = self._settings
         # Errors of a pixel's points are independent; one channel stands for all three.
@@ -169,9 +202,19 @@ class Estimation:
     def restore(
         self, states: list[tuple[np.ndarray, np.ndarray]], parts: list[np.ndarray], done: int
     ) -> None:
-        """Go on from another estimation's `states` and `parts` after `done` passes."""
-        self.parts, self._done = parts, done
+        """Go on from another estimation's `states` and `parts` after `done` passes.
+
+        Raises
+        ------
+        ValueError
+            If these are not of the same points, channels and passes.
+        """
         estimators = [one for one in (self._first, self._second) if one is not None]
+        shape = (self._first.quantities, self._first.channels, self._points.active)
+        fits = len(states) == len(estimators) and done <= self.passes.number
+        if not fits or any(part.shape != shape for part in parts):
+            raise ValueError("the checkpoint's arrays do not fit this render: it was tampered with")
+        self.parts, self.done = parts, done
         for estimator, state in zip(estimators, states, strict=True):
             estimator.restore(*state)
 

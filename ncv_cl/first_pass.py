@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from .auto import FIRST_SAMPLES, NESTED_FIRST_SAMPLES, Prediction, predict, too_short
+from .clock import FIRST_SHARE, Clock
 from .device import Device
-from .estimate import Estimator
 from .estimation import Estimation
 from .learn import training_budget
-from .sampler import Stream
 from .samples import SampleSource
 from .settings import RenderSettings, Stopwatch
 from .shaft import Occluders
@@ -24,13 +22,13 @@ def first_samples(settings: RenderSettings) -> int:
 
 
 def predict_without(
-    device: Device, points: int, occluders: Occluders | None, settings: RenderSettings
+    device: Device, points: int, occluders: Occluders | None, settings: RenderSettings, clock: Clock
 ) -> Prediction | None:
     """Plain Monte Carlo where a first pass of `points` points has nothing to decide; else None."""
     if settings.guides:
         return None
     known = points - occluders.unknown if occluders is not None else 0
-    return too_short(device, known * settings.spp, (points - known) * settings.spp)
+    return too_short(device, known * settings.spp, (points - known) * settings.spp, clock.left())
 
 
 def predict_from_first_pass(
@@ -39,13 +37,19 @@ def predict_from_first_pass(
     settings: RenderSettings,
     estimation: Estimation,
     watch: Stopwatch,
+    clock: Clock,
     progress: bool = False,
 ) -> Prediction:
-    """Run the first pass of `estimation`, time it, and choose a method from what it found."""
+    """Run the first pass of `estimation`, time it, and choose a method from what it found.
+
+    With a time limit for the samples that are expected to be drawn within it.
+    """
     with watch("compile"):
-        _compile_plain(device, source, settings)
+        estimation.warm_up(source)
     started = time.perf_counter()
-    estimation.passes.run("first pass", progress, last=1)
+    passes = estimation.passes
+    last = 1 if clock.limit is None else passes.up_to(first_samples(settings))
+    passes.run("first pass", progress, lambda done: clock.over(FIRST_SHARE), last=last)
     seconds = time.perf_counter() - started
     active = source.points.active
     first = estimation.first_estimate()
@@ -63,13 +67,6 @@ def predict_from_first_pass(
         weights = errors.sum(axis=0)
         if weights.any():
             occluders = float(np.average(source.occluders.counts(chosen), weights=weights))
-    return predict(device, first, differences, seconds, settings.spp, nested_rays, training, occluders)
-
-
-def _compile_plain(device: Device, source: SampleSource, settings: RenderSettings) -> None:
-    """Compile what the first pass runs, or compilation would be taken for what samples cost."""
-    rays = replace(source.rays)
-    estimator = Estimator(device, source.points, settings.integrand.channels)
-    estimator.add(source.draw(range(1), range(1), Stream.TRAINING))
-    device.queue.finish()
-    source.rays = rays
+    affordable = max(clock.left(), 0.0) / seconds
+    spp = min(float(settings.spp), float(first.samples.mean()) * (1.0 + affordable))
+    return predict(device, first, differences, seconds, spp, nested_rays, training, occluders)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
+from .files import PREFIX, check_writable
+
 # The channel names that viewers and denoisers look for.
 _RGB, _XYZ = ("R", "G", "B"), ("X", "Y", "Z")
 LAYER_CHANNELS = {"albedo": _RGB, "N": _XYZ, "depth": ("Z",), "G": _RGB, "residual": _RGB}
@@ -90,7 +92,7 @@ class Image:
             names, data = self._channels()
             attributes = _exr_attributes(self.metadata)
         # A folder, not a file of tempfile's: the image then gets the permissions of the umask.
-        with tempfile.TemporaryDirectory(prefix=".ncv_cl-", dir=path.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
             complete = Path(folder) / path.name
             _write_file(complete, path, names, data, attributes)
             os.replace(complete, path)
@@ -155,20 +157,17 @@ def check_output_path(path: str | Path) -> None:
     ------
     ValueError
         If the suffix is neither .exr nor .png.
-    FileNotFoundError, NotADirectoryError, IsADirectoryError, PermissionError
-        If the folder is missing, is not a folder or may not be written, or `path` is a folder.
+    OSError
+        As `files.check_writable` raises them.
     """
     path = Path(path)
     if path.suffix.lower() not in OUTPUT_SUFFIXES:
         raise ValueError(f"cannot write {path}: the name must end in {' or '.join(OUTPUT_SUFFIXES)}")
-    if not path.parent.exists():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it")
-    if not path.parent.is_dir():
-        raise NotADirectoryError(f"cannot write {path}: {path.parent} is not a folder")
-    if path.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise PermissionError(f"cannot write {path}: no permission to write in {path.parent}")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(f"cannot write {str(path)!r}: the name must be valid UTF-8") from error
+    check_writable(path)
 
 
 def read_reference(path: str | Path, shape: tuple[int, int]) -> np.ndarray:
@@ -214,6 +213,24 @@ def read_reference(path: str | Path, shape: tuple[int, int]) -> np.ndarray:
     _check_finite(f"reference {path}", pixels)
     _check_not_black(f"reference {path}", pixels)
     return np.ascontiguousarray(pixels)
+
+
+def checked_reference(reference: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A reference for an image of this width and height, float (height, width, 3).
+
+    Raises
+    ------
+    ValueError
+        If it has another shape, is not of real numbers, holds NaN or infinity, or is black everywhere.
+    """
+    found = np.asarray(reference)
+    if found.dtype.kind not in "fiu" or found.shape != (size[1], size[0], 3):
+        raise ValueError(
+            f"reference must be numbers of shape {(size[1], size[0], 3)}, is {found.dtype} {found.shape}"
+        )
+    _check_finite("reference", found)
+    _check_not_black("reference", found)
+    return found
 
 
 def error_metrics(pixels: np.ndarray, reference: np.ndarray) -> dict[str, float]:

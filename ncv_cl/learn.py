@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .alpha import can_scale, control_coefficients
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
+from .clock import NO_TIME, TRAINING_SHARE, UNLIMITED, Clock, OutOfTime
 from .density import DensityNetwork, DensityTrainer
 from .device import Device, HostArray
 from .encode import GridCube
@@ -46,9 +49,9 @@ class Learned:
     estimate : Estimate
         Of f, from the training samples alone.
     network : Network, optional
-        None where training diverged twice.
-    trainer : Trainer
-        Holds the samples of the last round, for the density.
+        None where training diverged twice, or had no time.
+    trainer : Trainer, optional
+        Holds the samples of the last round, for the density. None where there was no time for any.
     statistics : dict
         ``samples`` in all, the ``passes`` over those of the last round, ``rounds``; and ``held_out``,
         after each round the variance of f - g over that of f at points that are not trained on. Empty
@@ -57,7 +60,7 @@ class Learned:
 
     estimate: Estimate
     network: Network | None
-    trainer: Trainer
+    trainer: Trainer | None
     statistics: dict[str, object]
 
 
@@ -70,6 +73,7 @@ def learn(
     factor: Callable[[bool], HostArray | None],
     watch: Stopwatch,
     stop: Callable[[], bool],
+    clock: Clock = UNLIMITED,
 ) -> Learned:
     """Draw training samples and fit a network; once more at a tenth of the rate where that diverges.
 
@@ -83,16 +87,21 @@ def learn(
         For whether the network is demodulated, what its output is multiplied by at each point.
     stop : callable
         Asked between rounds of samples; True ends training with what there is.
+    clock : Clock
+        Training ends in its part of the time limit, with the rounds that were done until then.
     """
     preset = PRESETS[settings.preset]
     with watch("train"):
         description = preset.description(settings.integrand, inputs)
         start = Network.random(description, cube, settings.seed)
         factors = factor(description.demodulated)
-    learning = _Learning(device, source, settings, start, factors, watch, stop)
+    learning = _Learning(device, source, settings, start, factors, watch, stop, clock)
     for slower in (1.0, 0.1):
         learned = learning.attempt(slower)
         if learned.network is not None:
+            return learned
+        if clock.over(TRAINING_SHARE):
+            warnings.warn(NO_TIME, stacklevel=5)
             return learned
     warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=5)
     return learned
@@ -110,6 +119,19 @@ def training_budget(settings: RenderSettings, active: int) -> Budget:
     return Budget([Round(chosen, range(samples))])
 
 
+@dataclass
+class _Rounds:
+    """What the rounds so far have left: `found` is samples and held-out variances after each."""
+
+    network: Network | None = None
+    trainer: Trainer | None = None
+    losses: list[float] = field(default_factory=list)
+    found: list[tuple[int, float, float]] = field(default_factory=list)
+    used: int = 0
+    passes: int = 0
+    number: int = 0
+
+
 @dataclass(frozen=True)
 class _Learning:
     """What the attempts to train one network share."""
@@ -121,43 +143,51 @@ class _Learning:
     factors: HostArray | None
     watch: Stopwatch
     stop: Callable[[], bool]
+    clock: Clock
 
     def attempt(self, slower: float) -> Learned:
         """Train from the start at `slower` times the rate; without a network if that diverged."""
-        source, settings = self.source, self.settings
-        budget = training_budget(settings, source.points.active)
-        rays = source.rays.traced
-        estimator = Estimator(self.device, source.points, settings.integrand.channels)
-        held_out = None
+        source = self.source
+        budget = training_budget(self.settings, source.points.active)
+        estimator = Estimator(self.device, source.points, self.settings.integrand.channels)
+        done = _Rounds()
+        # Out of time, the rounds done before are what there is.
+        with suppress(OutOfTime):
+            self._run(budget, slower, estimator, done)
+        about: dict[str, object] = {
+            "samples": done.used,
+            "passes": done.passes,
+            "rounds": done.number,
+            "held_out": [left / plain if plain else 0.0 for _, left, plain in done.found],
+        }
+        failed = done.network is None or _diverged(done.network, done.losses)
+        network = None if failed else done.network
+        return Learned(estimator.result(), network, done.trainer, about)
+
+    def _run(self, budget: Budget, slower: float, estimator: Estimator, done: _Rounds) -> None:
+        """Round after round, until they are over or the next one would not pay."""
+        source, held_out, rays = self.source, None, self.source.rays.traced
         if budget.held_out is not None:
             chosen, samples = budget.held_out.chosen, budget.held_out.samples
             held_out = HeldOut(self.device, source.points, chosen, estimator.channels, self.factors)
-            self._draw(chosen, samples, estimator, held_out.store)
-        trainer: Trainer | None = None
-        losses: list[float] = []
-        found: list[tuple[int, float, float]] = []
-        used = 0
+            self._draw(Stream.HELD_OUT, chosen, samples, estimator, held_out.store)
         for number, current in enumerate(budget.rounds, 1):
-            schedule = self._schedule(slower, current)
-            trainer = self._train(schedule, current, estimator, trainer, losses)
-            used += current.count
+            began = time.perf_counter()
+            schedule, losses = self._schedule(slower, current), list(done.losses)
+            trainer = self._train(schedule, current, estimator, done.trainer, losses)
             with self.watch("train"):
-                network = trainer.network()
+                done.network, done.trainer, done.losses = trainer.network(), trainer, losses
+                done.used, done.passes, done.number = done.used + current.count, schedule.passes, number
                 if held_out is not None and np.isfinite(losses[-1]):
-                    found.append((used, *held_out.variances(network)))
+                    done.found.append((done.used, *held_out.variances(done.network)))
             if number == len(budget.rounds) or not np.isfinite(losses[-1]) or self.stop():
-                break
-            traced = (source.rays.traced - rays) / (used + budget.held_out.count)
-            if not self._pays(found, slower, budget.rounds[number], traced):
-                break
-        about: dict[str, object] = {
-            "samples": used,
-            "passes": schedule.passes,
-            "rounds": number,
-            "held_out": [left / plain if plain else 0.0 for _, left, plain in found],
-        }
-        learned = None if _diverged(network, losses) else network
-        return Learned(estimator.result(), learned, trainer, about)
+                return
+            following = budget.rounds[number]
+            seconds = (time.perf_counter() - began) * following.count / current.count
+            traced = (source.rays.traced - rays) / (done.used + budget.held_out.count)
+            in_time = seconds < self.clock.left(TRAINING_SHARE)
+            if not (in_time and self._pays(done.found, slower, following, traced)):
+                return
 
     def _pays(
         self,
@@ -196,6 +226,7 @@ class _Learning:
         chosen, numbers = current.chosen, current.samples
         held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
         firsts = range(numbers.start, numbers.stop - held + 1, held)
+        self.clock.check(TRAINING_SHARE)
         with self.watch("train"):
             trainer = Trainer(
                 self.device, self.start, self.source.points, schedule, chosen, held,
@@ -203,15 +234,21 @@ class _Learning:
             )  # fmt: skip
         for first in firsts:
             part = range(first, first + held)
-            self._draw(chosen, part, estimator, trainer.store)
+            self._draw(Stream.TRAINING, chosen, part, estimator, trainer.store)
             with self.watch("train"):
-                losses.append(trainer.fit(len(firsts)))
+                losses.append(trainer.fit(len(firsts), self._check))
             if not np.isfinite(losses[-1]) or (first != firsts[-1] and self.stop()):
                 break
         return trainer
 
+    @property
+    def _check(self) -> Callable[[], None] | None:
+        """What raises `OutOfTime`, where there is a limit."""
+        return None if self.clock.limit is None else lambda: self.clock.check(TRAINING_SHARE)
+
     def _draw(
         self,
+        stream: Stream,
         chosen: np.ndarray,
         numbers: range,
         estimator: Estimator,
@@ -223,13 +260,14 @@ class _Learning:
         for first in range(numbers.start, numbers.stop, TRAINING_PASS):
             part = range(first, min(first + TRAINING_PASS, numbers.stop))
             for batch_points in source.batches(len(chosen)):
-                batch = source.draw(batch_points, part, Stream.TRAINING, order)
+                batch = source.draw(batch_points, part, stream, order)
                 with watch("estimate"):
                     estimator.add(batch, part.start)
                 with watch("train"):
                     store(batch, part.start - numbers.start)
                     self.device.queue.finish()
             estimator.finish_pass(np.full(len(chosen), len(part)), chosen)
+            self.clock.check(TRAINING_SHARE)
 
 
 def _diverged(network: Network, losses: list[float]) -> bool:
@@ -263,8 +301,9 @@ def learn_density(
     folded: FoldedNetwork,
     trainer: Trainer,
     unit: np.ndarray | None,
+    check: Callable[[], None] | None = None,
 ) -> DensityNetwork:
     """The magnitude of what `folded` leaves of the trainer's samples, in units of `unit`."""
     unit = np.ones(points.active, np.float32) if unit is None else unit
     samples = trainer.samples_of(folded.network)
-    return DensityTrainer(device, folded, samples, unit).fit()
+    return DensityTrainer(device, folded, samples, unit).fit(check)

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import BinaryIO
-from zipfile import BadZipFile
 
 import numpy as np
 
 from .device import Device, HostArray
 from .encode import Encoding, GridCube
+from .files import (
+    array_of,
+    json_of,
+    read_arrays,
+    real_number,
+    record_of,
+    some_of,
+    whole_number,
+    write_whole,
+)
 from .points import ShadingPoints
 from .program import Program, build
+from .sampler import HostStream, host_generator
 
+# What exact integration and the kernels bear.
+WIDEST, MOST_CHANNELS = 128, 256
 # Points whose features are held at a time while they are folded.
 POINTS_PER_FOLD = 1 << 16
 
@@ -50,6 +64,16 @@ class NetworkDescription:
     hidden: tuple[int, int] = (16, 16)
     modulated: tuple[str, ...] = GROUPS
     demodulated: bool = False
+
+    def __post_init__(self) -> None:
+        whole_number("channels", self.channels, 1, MOST_CHANNELS)
+        if not isinstance(self.hidden, tuple) or len(self.hidden) != 2:
+            raise ValueError(f"hidden must be the widths of two layers, is {self.hidden!r}")
+        for width in self.hidden:
+            whole_number("hidden", width, 1, WIDEST)
+        some_of("modulated", self.modulated, GROUPS)
+        if not isinstance(self.demodulated, bool):
+            raise ValueError(f"demodulated must be true or false, is {self.demodulated!r}")
 
     @property
     def group_shapes(self) -> dict[str, tuple[int, ...]]:
@@ -136,56 +160,6 @@ class NetworkDescription:
         }
 
 
-class PaddedLayout:
-    """A network's parameter vector as train.cl holds it: every row padded to vectors of `width`."""
-
-    def __init__(self, description: NetworkDescription, width: int) -> None:
-        def padded(floats: int) -> int:
-            return -(-floats // width) * width
-
-        self._description = description
-        first, second = description.hidden
-        self.w2_stride = padded(first)
-        self.feature_floats = padded(description.encoding.feature_count + 1)
-        self.heads_at = second * self.w2_stride
-        self.bases_at = self.heads_at + description.head_rows * self.feature_floats
-        self.loss_at = self.bases_at + description.base_rows
-        self.size = padded(self.loss_at + 1)
-
-    def defines(self) -> dict[str, int | str]:
-        """The `-D` constants of train.cl and adam.cl about it."""
-        return {
-            "W2_STRIDE": self.w2_stride,
-            "FEATURE_FLOATS": self.feature_floats,
-            "AT_HEADS": self.heads_at,
-            "AT_BASES": self.bases_at,
-            "AT_LOSS": self.loss_at,
-            "PARTIAL_FLOATS": f"{self.size}u",
-        }
-
-    def _views(self, padded: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        w2 = padded[: self.heads_at].reshape(-1, self.w2_stride)
-        heads = padded[self.heads_at : self.bases_at].reshape(-1, self.feature_floats)
-        description = self._description
-        columns = description.encoding.feature_count + 1
-        return (
-            w2[:, : description.hidden[0]],
-            heads[:, :columns],
-            padded[self.bases_at : self.loss_at],
-        )
-
-    def pack(self, parameters: np.ndarray) -> np.ndarray:
-        """The padded vector of a plain one."""
-        padded = np.zeros(self.size, np.float32)
-        for view, part in zip(self._views(padded), self._description.unpack(parameters), strict=True):
-            view[...] = part
-        return padded
-
-    def unpack(self, padded: np.ndarray) -> np.ndarray:
-        """The plain vector of a padded one."""
-        return np.concatenate([view.ravel() for view in self._views(padded)])
-
-
 @dataclass(frozen=True)
 class Network:
     """A description with its numbers.
@@ -208,7 +182,7 @@ class Network:
     @classmethod
     def random(cls, description: NetworkDescription, cube: GridCube, seed: int) -> Network:
         """He-uniform weights, first-layer lines spread over the unit square, a grid near zero."""
-        generator = np.random.Generator(np.random.Philox(seed))
+        generator = host_generator(seed, HostStream.NETWORK)
         parameters = np.zeros(description.parameter_count, np.float32)
         first, second = description.hidden
         w2, heads, _ = description.unpack(parameters)
@@ -228,6 +202,14 @@ class Network:
         table -= np.float32(0.5)
         table *= np.float32(2e-4)
         return cls(description, parameters, table, cube)
+
+    @property
+    def digest(self) -> str:
+        """A hash of the numbers and the description."""
+        digest = hashlib.sha256(f"{self.description}{self.cube}".encode())
+        for array in (self.parameters, self.table):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
     def check_fits(self, channels: int, inputs: tuple[str, ...]) -> None:
         """Refuse other channels or inputs than the ones a scene and integrand have.
@@ -254,8 +236,7 @@ class Network:
         companions : ndarray
             Arrays of what was trained beside the network, kept in the same file under their names.
         """
-        with open(path, "wb") as file:
-            self.write(file, **companions)
+        write_whole(path, lambda file: self.write(file, **companions))
 
     def write(self, file: BinaryIO, **companions: np.ndarray) -> None:
         """As `save`, into an open file."""
@@ -273,29 +254,43 @@ class Network:
             If the file is none of ours or its arrays do not fit its description.
         """
         try:
-            with np.load(path) as file:
-                about = json.loads(str(file["about"]))
-                parameters, table = file["parameters"], file["table"]
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            return cls.of_arrays(read_arrays(path))
+        except ValueError as error:
             raise NetworkError(f"{path} is not a network saved by ncv_cl: {error}") from error
-        encoding = dict(about["description"]["encoding"])
-        encoding["inputs"] = tuple(encoding["inputs"])
-        stored = about["description"]
-        description = NetworkDescription(
-            Encoding(**encoding),
-            stored["channels"],
-            tuple(stored["hidden"]),
-            tuple(stored["modulated"]),
-            stored["demodulated"],
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray]) -> Network:
+        """The network whose numbers and description `write` has put into a file's arrays.
+
+        Raises
+        ------
+        ValueError
+            Naming what is missing, of another type or shape, or out of range.
+        """
+        about = record_of(json_of(arrays, "about"), "about", ("description", "cube"))
+        names = (field.name for field in fields(NetworkDescription))
+        stored = record_of(about["description"], "description", names)
+        names = (field.name for field in fields(Encoding))
+        encoding = record_of(stored["encoding"], "encoding", names)
+        # JSON knows lists only; what else these are is checked where they are used.
+        lists = {"inputs": encoding["inputs"]} | {k: stored[k] for k in ("hidden", "modulated")}
+        if not all(isinstance(one, list) for one in lists.values()):
+            raise ValueError("inputs, hidden and modulated must be lists")
+        tuples = {name: tuple(one) for name, one in lists.items()}
+        stored["encoding"] = Encoding(**encoding | {"inputs": tuples.pop("inputs")})
+        description = NetworkDescription(**stored | tuples)
+        cube = record_of(about["cube"], "cube", ("lower", "side"))
+        lower, largest = cube["lower"], float(np.finfo(np.float32).max)
+        if not isinstance(lower, list) or len(lower) != 3:
+            raise ValueError(f"the cube's lower corner must be three numbers, is {lower!r}")
+        corner = tuple(real_number("the cube's corner", one, -largest, largest) for one in lower)
+        side = real_number("the cube's side", cube["side"], float(np.finfo(np.float32).tiny), largest)
+        return cls(
+            description,
+            array_of(arrays, "parameters", np.float32, (description.parameter_count,)),
+            array_of(arrays, "table", np.float32, description.encoding.table_shape),
+            GridCube(corner, side),
         )
-        expected = (description.parameter_count,), description.encoding.table_shape
-        if (parameters.shape, table.shape) != expected:
-            raise NetworkError(
-                f"{path}: arrays of shapes {parameters.shape} and {table.shape} do not fit the "
-                f"description, which needs {expected[0]} and {expected[1]}"
-            )
-        cube = GridCube(tuple(about["cube"]["lower"]), about["cube"]["side"])
-        return cls(description, parameters, table, cube)
 
 
 class FoldedNetwork:

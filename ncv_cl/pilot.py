@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from .allocate import Allocation, allocate
+from .clock import FIRST_SHARE, Clock
 from .device import Device
 from .estimate import Estimate, Estimator
-from .passes import Passes, Target
+from .passes import Passes, Target, short_pass_edges, shortest_pass
 from .sampler import Stream
 from .samples import Batches
 from .settings import RenderSettings, Stopwatch
@@ -22,20 +23,27 @@ def pilot_samples(spp: int) -> int:
     return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
 
 
-def draw_pilot(device: Device, source: Batches, settings: RenderSettings, watch: Stopwatch) -> Estimate:
-    """Of f, from samples that the passes do not draw again."""
+def draw_pilot(
+    device: Device, source: Batches, settings: RenderSettings, watch: Stopwatch, clock: Clock
+) -> Estimate:
+    """Of f, from samples that the passes do not draw again; with a time limit fewer, if it is short."""
     points, samples = source.points, pilot_samples(settings.spp)
     estimator = Estimator(device, points, settings.integrand.channels)
     everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
-    targets = [Target(estimator, everything, Stream.TRAINING)]
-    Passes(device, source, targets, [0, samples], None, watch).run("pilot")
+    targets = [Target(estimator, everything, Stream.PILOT)]
+    edges = [0, samples]
+    if clock.limit is not None:
+        edges = short_pass_edges(samples, samples, shortest_pass(settings, points.active))
+    passes = Passes(device, source, targets, edges, None, watch)
+    passes.run("pilot", enough=lambda done: clock.over(FIRST_SHARE))
     return estimator.result()
 
 
 def allocate_by_pilot(pilot: Estimate, spp: int) -> Allocation:
     """What is left of `spp` samples a point, by the deviations that `pilot` saw."""
-    samples = pilot_samples(spp)
+    samples = int(pilot.samples.max())
     # What the pilot did not see may still be there: no point is left to much fewer samples.
     fewest = 1 << (samples.bit_length() - 1)
-    deviation = np.sqrt(pilot.variance.sum(axis=0))
+    # One sample says nothing of them: all alike.
+    deviation = np.sqrt(np.nan_to_num(pilot.variance.sum(axis=0)))
     return Allocation.of_counts(allocate(deviation, max(1, spp - samples), fewest))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import time
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +14,29 @@ from .allocate import Allocation, allocate
 from .auto import Prediction
 from .checkpoint import Checkpoint
 from .choose import choose_device
+from .clock import NO_TIME, UNLIMITED, Clock, OutOfTime
 from .density import DensityNetwork
 from .device import Device, HostArray
 from .encode import GridCube, varying_inputs
 from .estimate import Estimate
 from .estimation import Estimation
+from .files import check_paths
 from .first_pass import first_samples, predict_from_first_pass, predict_without
 from .guide import Guide
-from .image import Image, error_metrics
+from .image import Image, checked_reference
 from .integrands import INTEGRANDS, Integrand
-from .learn import learn
+from .keep import Keep
+from .learn import Learned, learn
 from .network import Network
-from .passes import pass_edges
-from .paths import sample_source
+from .passes import edges_of
 from .pilot import allocate_by_pilot, draw_pilot
-from .points import ShadingPoints, find_points
+from .prepare import prepare
 from .presets import PRESETS
-from .report import identity, metadata, seconds_of, skips, statistics
+from .report import about_values, identity, metadata, seconds_of, skips, statistics
 from .resolve import resolve_image
 from .scene import Scene, load_scene
 from .settings import RenderSettings, Stopwatch
-from .shaft import Occluders
-from .trace import Tracer
+from .stopping import ErrorTarget, Stopping
 from .variate import ControlVariate, control_variate, idle
 
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -109,7 +110,10 @@ def render(
         what the preset says for "ncv", "uniform" for "mc".
     target_mse, time_limit : float, optional
         End after the pass in which the image's mean square error is estimated to be this, or before the
-        pass that would outlast so many seconds; `spp` is then the most that is drawn.
+        pass that would outlast so many seconds; `spp` is then the most that is drawn. An error is
+        believed only when thousands of the image's samples are to be expected on each light. Under a
+        time limit passes are short, and training ends in time; what no limit can interrupt is one such
+        pass, and the compilation of kernels that the driver has not kept. Bits then depend on the clock.
     skip_dark : bool
         Leave out points that face away from every light. False computes their zeros, to compare.
     visibility : {"auto", "embree"}
@@ -150,39 +154,37 @@ def render(
         If there is no such OpenCL device.
     """
     started = time.perf_counter()
+    check_paths({"checkpoint": checkpoint, "save_network": save_network})
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
     if isinstance(integrand, str):
         if integrand not in INTEGRANDS:
             raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
         integrand = INTEGRANDS[integrand]()
+    if not isinstance(integrand, Integrand):
+        raise ValueError(f"integrand must be a name or an Integrand, got {integrand!r}")
     settings = RenderSettings(
         integrand, method, sampler, spp, train_spp, size, supersample, seed, preset, density, allocation,
         target_mse, time_limit, skip_dark, visibility,
     )  # fmt: skip
     # Fails for scenes that do not suit the integrand before anything is traced.
-    integrand.data(scene)
-    learned, given_network = None, network is not None
+    integrand.check(scene)
+    if reference is not None:
+        reference = checked_reference(reference, settings.size)
+    if method == "mc" and (network is not None or save_network is not None):
+        raise ValueError("plain Monte Carlo has no network to use or to save: take method ncv or auto")
+    learned = None
     if network is not None and not isinstance(network, Network):
         network, learned = Network.load(network), DensityNetwork.load(network)
     device = choose_device(device)
-    asked = identity(scene, settings, device, given_network)
+    asked = identity(scene, settings, device, network)
     resumed = Checkpoint.load(resume) if resume is not None else None
     if resumed is not None:
         resumed.check(asked)
         network, learned = resumed.network, resumed.density
     rendering = _Rendering(scene, settings, device, threads, progress, stop, started)
-    rendering.keep = _Keep(checkpoint, asked, resumed)
-    return rendering.run(network, learned, save_network, reference)
-
-
-@dataclass(frozen=True)
-class _Keep:
-    """Where to keep checkpoints, under which identity, and the one to go on from."""
-
-    path: str | Path | None
-    identity: dict[str, object]
-    resumed: Checkpoint | None
+    rendering.keep = Keep(checkpoint, save_network, asked, resumed)
+    return rendering.run(network, learned, reference)
 
 
 class _Rendering:
@@ -205,102 +207,71 @@ class _Rendering:
         self.stop = stop or (lambda: False)
         self.progress = progress
         self.started = started
+        self.clock = Clock(settings.time_limit, started)
+        # Why drawing ended.
+        self.ended_by = "samples"
         # What was sampled before the estimate proper, and what was predicted from it.
         self.before: Estimate | None = None
+        self.first_pass: Estimate | None = None
         self.prediction: Prediction | None = None
         self.guide: Guide | None = None
         self.points_done_twice = 0
         # How the network was trained, if it was.
         self.training: dict[str, object] = {}
-        self.keep = _Keep(None, {}, None)
-        with self.watch("scene"):
-            self.tracer = Tracer(scene, threads)
-        with self.watch("points"):
-            self.points = find_points(
-                device,
-                scene,
-                self.tracer,
-                *settings.size,
-                settings.supersample,
-                settings.integrand.emitters_active,
-            )
-            self.points = self._without_dark(self.points)
-        occluders = None
-        if settings.integrand.to_lights and settings.visibility == "auto" and self.points.active:
-            with self.watch("shafts"):
-                occluders = Occluders(device, scene, self.points, settings.integrand)
-        self.source = sample_source(
-            device,
-            scene,
-            self.tracer,
-            self.points,
-            settings.integrand,
-            settings.sampler,
-            settings.seed,
-            RESIDUAL_PASS,
-            occluders,
-            shadows_tested=settings.visibility == "auto",
-        )
-
-    def _without_dark(self, points: ShadingPoints) -> ShadingPoints:
-        """Points that cannot see a light are left out; all others keep their samples either way."""
-        dark = self.settings.integrand.dark(self.scene, points)
-        if dark is None:
-            return points
-        points = points.with_dark_last(dark)
-        return points.without_last(int(dark.sum())) if self.settings.skip_dark else points
+        self.keep = Keep(None, None, {}, None)
+        self.points, self.source = prepare(device, scene, settings, threads, RESIDUAL_PASS, self.watch)
 
     def run(
         self,
         network: Network | None,
         density: DensityNetwork | None,
-        save_network: str | Path | None,
         reference: np.ndarray | None,
     ) -> Image:
         settings, points, resumed = self.settings, self.points, self.keep.resumed
         begun = None
         if resumed is not None:
+            needs_density = settings.uses_density or settings.allocates
+            resumed.check_arrays(settings.integrand.channels, points.active, needs_density)
             self.before = resumed.before
             self.prediction = Prediction(**resumed.prediction) if resumed.prediction else None
             if resumed.guide is not None:
                 self.guide = resumed.guide
                 self.source.use_guide(resumed.guide)
-        elif settings.method == "auto" and points.active and network is None and save_network is None:
+        elif settings.method == "auto" and points.active and network is self.keep.network is None:
             # Who wants a network gets one; else the first pass decides.
             self.prediction = predict_without(
-                self.device, points.active, self.source.occluders, settings
+                self.device, points.active, self.source.occluders, settings, self.clock
             )
             if self.prediction is None:
                 begun = self._begin_plain()
         variate = None
         if points.active and self._wants_network(network):
-            variate = self._control_variate(network, density, save_network)
+            variate = self._control_variate(network, density)
+        if variate is None:
+            self.keep.note_no_network()
         asked = self.prediction is not None and self.prediction.first_pass
         allocation = None
         if variate is not None or begun is None:
             first_pass = first_samples(settings) if asked and variate is None else None
             allocation = self._allocate(variate)
             begun = self._begin(allocation, variate, first_pass)
-        first = 1 if asked and variate is None else 0
         if resumed is not None:
-            first = resumed.passes
-            begun.restore(resumed.states, resumed.parts, first)
-        self._draw(begun, variate, first)
+            begun.restore(resumed.states, resumed.parts, resumed.passes)
+        self._draw(begun, variate)
         integral, used = (variate.integral, variate.folded.network) if variate else (None, None)
         skipped = self._skipped(variate, allocation)
         # Of many points, folded weights and densities are most of the memory, and no longer needed.
         del variate
         plain, residual = begun.end()
-        by_count = None if PRESETS[settings.preset].density else float(settings.spp)
+        by_count = not PRESETS[settings.preset].density
         with self.watch("resolve"):
             image = resolve_image(
                 self.scene, settings.integrand, points, settings.size, settings.supersample,
-                plain, self.before, residual, integral, by_count,
+                plain, self.before, residual, integral, float(settings.spp), by_count,
             )  # fmt: skip
         self._describe(image, plain, residual, used)
         image.stats["skipped"] = skipped
-        if reference is not None:
-            image.stats |= error_metrics(image.pixels, reference)
+        about_values(image, reference)
         return image
 
     def _wants_network(self, network: Network | None) -> bool:
@@ -329,6 +300,9 @@ class _Rendering:
             image.stats["training"] = self.training
         if self.prediction is not None:
             image.stats["auto"] = self.prediction.as_dict()
+        image.stats["ended_by"] = self.ended_by
+        if self.keep.not_written:
+            image.stats["not_written"] = self.keep.not_written
         drawn = (plain, self.before) if self.points.active else (None, None)
         image.metadata = metadata(self.scene, self.settings, self.device, *drawn)
 
@@ -350,52 +324,64 @@ class _Rendering:
         self,
         network: Network | None,
         density: DensityNetwork | None,
-        save_network: str | Path | None,
     ) -> ControlVariate | None:
-        """Train (or take) the networks, fold and integrate; None where training fails twice."""
-        settings, device = self.settings, self.device
+        """Train (or take) the networks, fold and integrate; None where that fails, or time is up."""
+        settings = self.settings
         inputs = varying_inputs(self.points, settings.integrand.inputs)
         learned = None
         if network is None:
-            guided = settings.guides
-            if guided:
-                self.source.record_guide()
-            learned = learn(
-                device,
-                GridCube.around(self.scene.bounds),
-                self.source,
-                settings,
-                inputs,
-                self._factor,
-                self.watch,
-                self.stop,
-            )
-            network, self.training = learned.network, learned.statistics
-            if guided:
-                with self.watch("guide"):
-                    self.guide = self.source.learn_guide()
-            # The first pass of "auto", if there was one, and training have samples of their own.
-            self.before = (
-                learned.estimate if self.before is None else self.before.merged(learned.estimate)
-            )
+            learned = self._learn(inputs)
+            network = learned.network
         else:
             network.check_fits(settings.integrand.channels, inputs)
         if network is None:
             return None
-        return control_variate(
-            device,
-            self.points,
+        try:
+            variate = control_variate(
+                self.device,
+                self.points,
+                settings,
+                network,
+                self.watch,
+                learned,
+                density,
+                self.keep.resumed.alpha if self.keep.resumed is not None else None,
+                settings.size[0] * settings.supersample,
+                self._factor(network.description.demodulated),
+                self._unit(),
+                functools.partial(self.keep.save_network, network),
+                # What was begun before is gone on with as it was.
+                self.clock if self.keep.resumed is None else UNLIMITED,
+            )
+        except OutOfTime:
+            warnings.warn(NO_TIME, stacklevel=4)
+            return None
+        # The first pass of "auto" and training have samples of their own.
+        if self.first_pass is not None:
+            self.before = self.first_pass.merged(self.before)
+        return variate
+
+    def _learn(self, inputs: tuple[str, ...]) -> Learned:
+        """Train the network, and what guides paths with it."""
+        settings = self.settings
+        if settings.guides:
+            self.source.record_guide()
+        learned = learn(
+            self.device,
+            GridCube.around(self.scene.bounds),
+            self.source,
             settings,
-            network,
+            inputs,
+            self._factor,
             self.watch,
-            learned,
-            density,
-            self.keep.resumed.alpha if self.keep.resumed is not None else None,
-            settings.size[0] * settings.supersample,
-            self._factor(network.description.demodulated),
-            self._unit(),
-            save_network,
+            self.stop,
+            self.clock,
         )
+        self.training, self.before = learned.statistics, learned.estimate
+        if settings.guides:
+            with self.watch("guide"):
+                self.guide = self.source.learn_guide()
+        return learned
 
     def _factor(self, demodulated: bool) -> HostArray | None:
         """What a demodulated network's output is multiplied by at each point."""
@@ -422,7 +408,7 @@ class _Rendering:
         if settings.allocation != "pilot" or not self.points.active:
             return Allocation.uniform(np.arange(self.points.active, dtype=np.uint32), settings.spp)
         if self.before is None:
-            self.before = draw_pilot(self.device, self.source, settings, self.watch)
+            self.before = draw_pilot(self.device, self.source, settings, self.watch, self.clock)
         return allocate_by_pilot(self.before, settings.spp)
 
     def _begin(
@@ -432,7 +418,8 @@ class _Rendering:
         first_pass: int | None = None,
     ) -> Estimation:
         settings = self.settings
-        edges = pass_edges(settings.spp, RESIDUAL_PASS, first_pass)
+        done = None if self.keep.resumed is None else self.keep.resumed.edges
+        edges = edges_of(settings, self.points.active, RESIDUAL_PASS, first_pass, done)
         folded, density = (variate.folded, variate.density) if variate else (None, None)
         return Estimation(
             self.device, self.source, settings, allocation, edges, folded, density, self.watch
@@ -444,49 +431,41 @@ class _Rendering:
         allocation = Allocation.uniform(everything, self.settings.spp)
         estimation = self._begin(allocation, None, first_samples(self.settings))
         self.prediction = predict_from_first_pass(
-            self.device, self.source, self.settings, estimation, self.watch, self.progress
+            self.device,
+            self.source,
+            self.settings,
+            estimation,
+            self.watch,
+            self.clock,
+            self.progress,
         )
         if self.prediction.method == "ncv":
-            self.before = estimation.results()[0]
+            self.first_pass = estimation.results()[0]
         return estimation
 
-    def _draw(self, estimation: Estimation, variate: ControlVariate | None, first: int) -> None:
-        """Draw the passes from `first` on, until a target is met."""
-        settings = self.settings
-        began, done = time.perf_counter(), first
-        self._write_checkpoint(estimation, variate, done)
+    def _draw(self, estimation: Estimation, variate: ControlVariate | None) -> None:
+        """Draw the passes that are not done, until a target is met."""
+        settings, passes = self.settings, estimation.passes
+        uniform = variate.density.uniform_share if variate and estimation.follows_density else 1.0
+        target = ErrorTarget(settings.target_mse, self.scene, settings.integrand, uniform)
+        self._write_checkpoint(estimation, variate)
+        if settings.time_limit is not None and self.points.active:
+            with self.watch("compile"):
+                estimation.warm_up(self.source)
+        stopping = Stopping(estimation, target, self.clock, self.stop)
 
-        def enough() -> bool:
-            nonlocal began, done
-            done += 1
-            self._write_checkpoint(estimation, variate, done)
-            now = time.perf_counter()
-            last, began = now - began, now
-            if settings.time_limit is not None and now + last - self.started > settings.time_limit:
-                return True
-            target = settings.target_mse
-            return (target is not None and estimation.image_error() <= target) or self.stop()
+        def enough(done: int) -> bool:
+            self._write_checkpoint(estimation, variate)
+            return stopping.enough(done)
 
-        if self.points.active:
-            estimation.passes.run("render", self.progress, enough, first)
+        if estimation.done and self.clock.over():
+            stopping.ended_by = "time_limit"
+        elif self.points.active:
+            passes.run("render", self.progress, enough, estimation.done)
+        self.ended_by = stopping.ended_by
         self.points_done_twice = len(estimation.twice)
 
-    def _write_checkpoint(
-        self, estimation: Estimation, variate: ControlVariate | None, passes: int
-    ) -> None:
-        if self.keep.path is None:
-            return
+    def _write_checkpoint(self, estimation: Estimation, variate: ControlVariate | None) -> None:
         with self.watch("checkpoint"):
-            Checkpoint(
-                self.keep.identity,
-                "mc" if variate is None else "ncv",
-                passes,
-                estimation.states(),
-                self.before,
-                variate.folded.network if variate else None,
-                variate.learned if variate else None,
-                self.prediction.as_dict() if self.prediction else None,
-                variate.alpha if variate else None,
-                estimation.parts,
-                self.guide,
-            ).save(self.keep.path)
+            prediction = self.prediction.as_dict() if self.prediction else None
+            self.keep.write(estimation, self.before, variate, prediction, self.guide)

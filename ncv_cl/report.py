@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import math
+import warnings
 from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
 
 from .device import Device
 from .estimate import Estimate
+from .image import Image, error_metrics
 from .network import Network
 from .points import ShadingPoints
+from .program import kernel_folder
 from .samples import RayCount
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
@@ -19,6 +27,15 @@ def package_version() -> str:
         return version("ncv_cl")
     except PackageNotFoundError:
         return "unpackaged"
+
+
+@functools.cache
+def kernel_digest() -> str:
+    """A hash of all kernel files."""
+    digest = hashlib.sha256()
+    for file in sorted(kernel_folder().glob("*.cl")):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 def seconds_of(watch: Stopwatch, rays: RayCount, total: float) -> dict[str, float]:
@@ -54,13 +71,50 @@ def statistics(
     }
     if points.active:
         found["samples_per_point_range"] = [int(plain.samples.min()), int(plain.samples.max())]
-    reference = plain if training is None else training
-    if residual is not None and reference.variance.any():
-        sampled = reference.samples > 1
-        found["residual_variance_ratio"] = float(
-            residual.variance.mean() / reference.variance[:, sampled].mean()
-        )
+    if residual is not None:
+        reference = plain if training is None else training
+        spread = reference.variance[:, reference.known]
+        if spread.any() and residual.known.any():
+            found["residual_variance_ratio"] = float(
+                residual.variance[:, residual.known].mean() / spread.mean()
+            )
     return found
+
+
+def about_values(image: Image, reference: np.ndarray | None) -> None:
+    """Add what an image's values say of its error to its statistics, and what is wrong with them.
+
+    ``estimated_mse`` is the mean of the pixels' variances; None where one is not known. Nothing in the
+    statistics is NaN or infinite.
+    """
+    stats, pixels = image.stats, image.pixels.shape[0] * image.pixels.shape[1]
+    unknown = int(np.count_nonzero(np.isnan(image.variance).any(axis=2)))
+    stats["estimated_mse"] = None if unknown else float(image.variance.mean(dtype=np.float64))
+    if unknown:
+        stats["pixels_without_variance"] = unknown
+        note = f"not known at {unknown} of {pixels} pixels: a point has fewer than two samples"
+        image.metadata["variance"] = note
+    broken = np.argwhere(~np.isfinite(image.pixels).all(axis=2))
+    if len(broken):
+        stats["pixels_not_finite"] = len(broken)
+        row, column = broken[0].tolist()
+        warnings.warn(
+            f"{len(broken)} of {pixels} pixels are not finite, the first in row {row}, column {column}",
+            stacklevel=5,
+        )
+    if reference is not None:
+        stats |= {"mse": None, "relmse": None} if len(broken) else error_metrics(image.pixels, reference)
+    image.stats = finite(stats)
+
+
+def finite(value: object) -> object:
+    """The same with None for numbers that are NaN or infinite, of which JSON knows nothing."""
+    if isinstance(value, dict):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(one) for one in value]
+    is_broken = isinstance(value, (float, np.floating)) and not math.isfinite(value)
+    return None if is_broken else value
 
 
 def skips(
@@ -79,9 +133,9 @@ def skips(
 
 
 def identity(
-    scene: Scene, settings: RenderSettings, device: Device, given_network: bool
+    scene: Scene, settings: RenderSettings, device: Device, network: Network | None
 ) -> dict[str, object]:
-    """All that decides an image's bits, by name."""
+    """All that decides an image's bits, by name; `network` is the one that was given."""
     return {
         "version": package_version(),
         "scene": scene.digest,
@@ -99,8 +153,10 @@ def identity(
         "allocation": settings.allocation,
         "skip_dark": settings.skip_dark,
         "visibility": settings.visibility,
-        "network": "given" if given_network else "trained",
+        "network": "trained" if network is None else network.digest,
         "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
+        "fma": device.use_fma,
+        "kernels": kernel_digest(),
     }
 
 
@@ -127,7 +183,7 @@ def metadata(
         "seed": settings.seed,
         "device": device.identity,
         # Options of the integrand; without an entry: none.
-        **{name: value for name, value in vars(settings.integrand).items() if value is not None},
+        **{k: v for k, v in vars(settings.integrand).items() if v is not None and v != math.inf},
     }
 
 

@@ -27,38 +27,56 @@ def estimate_of(
 
 
 def combine(
-    mean: np.ndarray, variance: np.ndarray, training: Estimate | None, by_count: float | None = None
+    mean: np.ndarray,
+    variance: np.ndarray,
+    training: Estimate | None,
+    samples: float,
+    by_count: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Add the training samples' own estimate to one of `mean` and `variance`, (channels, points).
 
     Parameters
     ----------
-    by_count : float, optional
-        Samples a point behind `mean`: the two are weighted by their numbers of samples, as on the
-        slides' last page, m / (m + n) <MC> + n / (m + n) (G + <f - g>), and the sum is unbiased. Without
-        it they are weighted by the inverse of their mean square errors over the image, where that of the
-        training samples is known by its difference from the other: one weight for the whole image, hence
-        consistent, and unbiased up to a term of order one over the number of points.
+    samples : float
+        Samples a point behind `mean`, as they were asked for.
+    by_count : bool
+        Weigh the two by their numbers of samples, as on the slides' last page, m / (m + n) <MC> +
+        n / (m + n) (G + <f - g>): the sum is unbiased. So it is done also where `variance` is not known
+        (NaN). Else they are weighted by the inverse of their mean square errors over the image, where
+        that of the training samples is known by its difference from the other: one weight for the whole
+        image, hence consistent, and unbiased up to a term of order one over the number of points.
     """
     if training is None:
         return mean, variance
     sampled = training.samples > 0
-    expected = training.variance[:, sampled] / training.samples[sampled]
-    error = float(np.mean(variance[:, sampled]))
-    difference = float(np.mean((training.mean - mean)[:, sampled] ** 2))
-    own = max(difference - error, 0.0)
-    if by_count is None:
+    compared = sampled & np.isfinite(variance).all(axis=0)
+    error = own = np.nan
+    if compared.any():
+        error = float(np.mean(variance[:, compared]))
+        difference = float(np.mean((training.mean - mean)[:, compared] ** 2))
+        own = max(difference - error, 0.0)
+    if by_count or not compared.any():
+        share = training.samples / (training.samples + samples)
+    else:
         weight = error / (own + error) if own > 0 else 0.0
         share = np.where(sampled, weight if weight >= SMALLEST_SHARE else 0.0, 0.0)
-    else:
-        share = training.samples / (training.samples + by_count)
-    # The samples are stratified: their error is what was seen, not what independent ones would have.
-    ratio = own / float(np.mean(expected)) if expected.any() else 0.0
-    training_variance = ratio * training.variance / np.maximum(training.samples, 1)
+    training_variance = _variance_as_seen(training, compared, own)
     return (
         share * training.mean + (1 - share) * mean,
-        share**2 * training_variance + (1 - share) ** 2 * variance,
+        np.where(share > 0, share**2 * training_variance, 0.0) + (1 - share) ** 2 * variance,
     )
+
+
+def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) -> np.ndarray:
+    """Variances of the training samples' means, of which those `compared` had this mean square error.
+
+    The samples are stratified: their error is what was seen, not what independent ones would have. So
+    it is for a single sample, which has no variance of its own.
+    """
+    spread = training.variance / np.maximum(training.samples, 1)
+    expected = spread[:, compared & training.known]
+    ratio = error / float(np.mean(expected)) if expected.any() else 0.0
+    return np.where(training.known, ratio * spread, error)
 
 
 class PixelGrid:
@@ -92,7 +110,8 @@ def resolve_image(
     training: Estimate | None = None,
     residual: Estimate | None = None,
     integral: np.ndarray | None = None,
-    by_count: float | None = None,
+    samples: float = 1.0,
+    by_count: bool = False,
 ) -> Image:
     """The image of the estimates, with its layers.
 
@@ -102,12 +121,12 @@ def resolve_image(
         Of f from the render's own samples, of f from the training samples, of f − g.
     integral : ndarray, optional
         float (channels, points.active), G of each active point.
-    by_count : float, optional
-        As `combine` takes it.
+    samples, by_count
+        As `combine` takes them.
     """
     grid = PixelGrid(points, size, supersample)
     active, everything = slice(0, points.active), slice(0, points.total)
-    mean, variance = combine(*estimate_of(plain, residual, integral), training, by_count)
+    mean, variance = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     pixels = grid.average(mean, active) + np.zeros(3)
     # Errors of a pixel's points are independent: variances add with the square of the weight.
     pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)

@@ -1,4 +1,7 @@
-"""Samplers of the unit square: names, streams of random numbers, and points for the host."""
+"""Samplers of the unit square: names, streams of random numbers, and points for the host.
+
+All random numbers come from here: on the device by `Stream`, on the host by `HostStream`.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,41 @@ SAMPLERS = ("independent", "sobol")
 
 
 class Stream(enum.IntEnum):
-    """What a random number is for; samples of different streams are independent."""
+    """What a sample is for; samples of different streams are independent.
 
-    RESIDUAL = 0
-    TRAINING = 1
+    No two stages of a render share one: what two of them say is weighed as if it were independent.
+    """
+
+    # f by plain Monte Carlo, whole images and first passes alike, which the former go on from.
+    PLAIN = 0
+    PILOT = 1
     UNSHADOWED = 2
     # A second, independent scramble for points that are estimated twice.
-    CALIBRATION = 3
+    PLAIN_AGAIN = 3
+    # f - g, and the same points once more.
+    RESIDUAL = 4
+    RESIDUAL_AGAIN = 5
+    TRAINING = 6
+    HELD_OUT = 7
+    # Drawn for kernels to be compiled, and thrown away.
+    WARM_UP = 8
+    # Of a callable: the constant that is taken off.
+    OFFSET = 9
+
+
+class HostStream(enum.IntEnum):
+    """What a random number of the host is for."""
+
+    NETWORK = 0
+    MINIBATCHES = 1
+    TRAINING_POINTS = 2
+    POINTS_DONE_TWICE = 3
+    DENSITY = 4
+
+
+def host_generator(seed: int, stream: HostStream) -> np.random.Generator:
+    """Random numbers of the host, the same on every machine."""
+    return np.random.Generator(np.random.Philox([seed, int(stream)]))
 
 
 def sampler_defines(sampler: str) -> dict[str, int]:
@@ -57,7 +88,7 @@ def square_samples(
     points: range,
     samples: range,
     seed: int,
-    stream: int = Stream.RESIDUAL,
+    stream: int = Stream.PLAIN,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates u and v in [0, 1)², float32 (points, samples), the same that renders use."""
     count = len(samples)

@@ -13,12 +13,15 @@ import numpy as np
 
 from .integrands import Integrand
 from .presets import PRESETS
-from .sampler import SAMPLERS
+from .sampler import SAMPLERS, HostStream, host_generator, seed_words
 
 METHODS = ("auto", "ncv", "mc")
 DENSITIES = ("table", "subdivision", "none")
 VISIBILITIES = ("auto", "embree")
 ALLOCATIONS = ("magnitude", "pilot", "uniform")
+# What the kernels' indices of 32 bits can count.
+MOST_SAMPLES = 1 << 31
+MOST_CELLS = (1 << 31) - 1
 
 
 @dataclass
@@ -69,19 +72,20 @@ class RenderSettings:
             )
         if self.preset not in PRESETS:
             raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
-        counts = {
-            "spp": self.spp,
-            "size[0]": self.size[0],
-            "size[1]": self.size[1],
-            "supersample": self.supersample,
-        }
-        if self.train_spp != "auto" and not (
-            isinstance(self.train_spp, numbers.Real) and 0 < self.train_spp < math.inf
-        ):
-            raise ValueError(f"train_spp must be a positive number or 'auto', got {self.train_spp!r}")
-        for name, value in counts.items():
-            if int(value) != value or value < 1:
-                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if self.train_spp != "auto":
+            _check_real("train_spp", self.train_spp, MOST_SAMPLES, " or 'auto'")
+        _check_whole("spp", self.spp, MOST_SAMPLES)
+        if not isinstance(self.size, (tuple, list)) or len(self.size) != 2:
+            raise ValueError(f"size must be a width and a height, got {self.size!r}")
+        for name, value in (("size[0]", self.size[0]), ("size[1]", self.size[1])):
+            _check_whole(name, value, MOST_CELLS)
+        _check_whole("supersample", self.supersample, MOST_CELLS)
+        if self.size[0] * self.size[1] * self.supersample**2 > MOST_CELLS:
+            raise ValueError(
+                f"size {self.size[0]} x {self.size[1]} with supersample {self.supersample} makes more "
+                f"than {MOST_CELLS} sub-pixels"
+            )
+        seed_words(self.seed)
 
     def _check_estimator(self) -> None:
         if self.density not in (None, *DENSITIES):
@@ -99,8 +103,8 @@ class RenderSettings:
         if self.method != "mc" and self.allocation == "pilot":
             raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
         for name, value in (("target_mse", self.target_mse), ("time_limit", self.time_limit)):
-            if value is not None and not (isinstance(value, numbers.Real) and 0 < value < math.inf):
-                raise ValueError(f"{name} must be a positive number, got {value!r}")
+            if value is not None:
+                _check_real(name, value, math.inf)
 
     @property
     def residual_density(self) -> str:
@@ -145,8 +149,23 @@ class RenderSettings:
             return np.arange(active, dtype=np.uint32), max(1, round(spp))
         count = min(active, max(1, round(active * spp / samples_a_point)))
         # One point at random of each of `count` runs: spread over the image, without a pattern.
-        edges = np.linspace(0, active, count + 1)
-        generator = np.random.Generator(np.random.Philox([self.seed, 2]))
-        picks = edges[:-1] + generator.uniform(size=count) * np.diff(edges)
+        # Runs of whole points: of two that shared one both might pick it, and count its samples twice.
+        edges = np.linspace(0, active, count + 1).astype(np.int64)
+        generator = host_generator(self.seed, HostStream.TRAINING_POINTS)
+        picks = edges[:-1] + (generator.uniform(size=count) * np.diff(edges)).astype(np.int64)
         samples = samples_a_point if active * spp >= samples_a_point else max(1, round(active * spp))
-        return np.minimum(picks, active - 1).astype(np.uint32), samples
+        return picks.astype(np.uint32), samples
+
+
+def _check_whole(name: str, value: object, most: int) -> None:
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not 1 <= value <= most or int(value) != value:
+        raise ValueError(
+            f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}"
+        )
+
+
+def _check_real(name: str, value: object, most: float, other: str = "") -> None:
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not 0 < value <= most or value == math.inf:
+        raise ValueError(f"{name} must be a positive number{other}, got {value!r}")

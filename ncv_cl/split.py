@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from .image import Image, error_metrics
+from .image import Image, checked_reference
 from .integrands import DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .render import render
+from .report import about_values
+from .sampler import seed_words
 from .scene import Scene
 
 # What belongs to one of the two renders, or would have to be divided among them.
-_ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse", "time_limit")
+_ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse")
+# Part of a time limit that direct light has; the rest of the light has what that leaves.
+_DIRECT_SHARE = 0.5
 
 
 def render_split(
@@ -25,8 +30,8 @@ def render_split(
     integrand : "gi" or GlobalIllumination
         Its `direct` must be true.
     **options
-        As `render` takes them, each for both images; not those that are about one render, such as its
-        network and checkpoint, nor targets.
+        As `render` takes them, each for both images, but for a time limit, which is for both together;
+        not those that are about one render, such as its network and checkpoint, nor a target.
 
     Returns
     -------
@@ -47,16 +52,21 @@ def render_split(
     whole = GlobalIllumination() if integrand == GlobalIllumination.name else integrand
     if not isinstance(whole, GlobalIllumination) or not whole.direct:
         raise IntegrandError("only integrand gi has direct light to split off")
-    reference = options.pop("reference", None)
+    started = time.perf_counter()
+    reference, limit = options.pop("reference", None), options.pop("time_limit", None)
     seed = options.pop("seed", 0)
-    direct = render(scene, DirectLight(), seed=seed, **options)
+    seed_words(seed)
+    if reference is not None:
+        reference = checked_reference(reference, options.get("size", (512, 512)))
+    share = None if limit is None else _DIRECT_SHARE * limit
+    direct = render(scene, DirectLight(), seed=seed, time_limit=share, **options)
     rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp, guided=whole.guided)
     # Another seed: the errors of the two are to be independent.
-    indirect = render(scene, rest, seed=(seed + 2**63) % 2**64, **options)
+    left = None if limit is None else max(limit - (time.perf_counter() - started), 1e-6)
+    indirect = render(scene, rest, seed=(seed + 2**63) % 2**64, time_limit=left, **options)
     image = _sum(direct, indirect)
     image.metadata |= {"direct": True, "split_direct": True, "seed": seed}
-    if reference is not None:
-        image.stats |= error_metrics(image.pixels, reference)
+    about_values(image, reference)
     return image
 
 
@@ -73,6 +83,7 @@ def _sum(direct: Image, indirect: Image) -> Image:
     for name in ("rays_traced", "rays_skipped", "samples_per_point"):
         stats[name] = first[name] + second[name]
     stats.pop("residual_variance_ratio", None)
+    stats.pop("pixels_without_variance", None)
     return Image(
         direct.pixels + indirect.pixels, direct.variance + indirect.variance, layers, stats,
         dict(indirect.metadata),

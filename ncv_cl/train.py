@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from .clock import CHECKED_STEPS
 from .device import Device, HostArray
 from .encode import Encoder, GridIndex, TouchedTable
-from .network import Network, PaddedLayout
+from .network import Network
+from .padded import Averaged, PaddedLayout
 from .points import ShadingPoints
 from .program import Program, build
+from .sampler import HostStream, host_generator
 from .samples import Batch, ray_defines
 
 # Bytes of local memory that the gradient kernel may use; every GPU has this much.
@@ -158,7 +162,7 @@ class Trainer:
         self._scale = previous._scale if previous else 1.0
         description = network.description
         count = len(chosen)
-        generator = np.random.Generator(np.random.Philox([seed, 1]))
+        generator = host_generator(seed, HostStream.MINIBATCHES)
         shuffled = generator.permutation(count).astype(np.uint32)
         position = np.empty_like(shuffled)
         position[shuffled] = np.arange(count, dtype=np.uint32)
@@ -173,7 +177,7 @@ class Trainer:
         if previous is not None:
             self._parameters, table = previous._parameters, previous._table.read()
         else:
-            self._parameters = _Averaged(device, self._layout.pack(network.parameters))
+            self._parameters = Averaged(device, self._layout.pack(network.parameters))
             table = network.table
         moments = 2 * description.encoding.grid_features if settings.table_adam else 2
         self._table = TouchedTable(device, table, self._index.touched, moments)
@@ -232,10 +236,11 @@ class Trainer:
             self._target,
         )
 
-    def fit(self, rounds: int = 1) -> float:
+    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
         """All passes over the stored samples, as one of `rounds` such calls; returns the mean loss.
 
-        The loss is the mean over the last pass's steps at the end of each stored sample.
+        The loss is the mean over the last pass's steps at the end of each stored sample. `check` is
+        called now and then, and may raise.
         """
         if not self._has_factors:
             self._set_common_factor()
@@ -249,6 +254,9 @@ class Trainer:
         for number, (_, batch) in enumerate(order):
             self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
             self._adam.repeat(number, self._adam_items[batch])
+            if check is not None and number % CHECKED_STEPS == 0:
+                self.device.queue.finish()
+                check()
             if batch == numbers[-1] and number >= len(order) - len(starts) * len(numbers):
                 losses.append(float(self._loss.read()[0]))
         self._steps += len(order)
@@ -276,10 +284,10 @@ class Trainer:
         return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def _set_common_factor(self) -> None:
-        """The integrand's mean for all, so that rates and losses do not depend on the scene's units."""
+        """The integrand's mean size for all: rates and losses do not depend on the scene's units."""
         count = self._encoder.count
         with self._target.mapped() as target:
-            mean = float(np.mean(target[:, :, :count], dtype=np.float64))
+            mean = float(np.mean(np.abs(target[:, :, :count]), dtype=np.float64))
         self._scale = mean if mean > 0.0 else 1.0
         channels = self._start.description.channels
         self._set_factors(np.full((channels, count), self._scale, np.float32))
@@ -379,17 +387,3 @@ class Trainer:
             **ray_defines(),
         }
         return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)
-
-
-class _Averaged:
-    """A trained array on the device with Adam's moments and its moving average."""
-
-    def __init__(self, device: Device, start: np.ndarray) -> None:
-        self.value = HostArray.of(device, start)
-        self.moment1 = HostArray.of(device, np.zeros_like(start))
-        self.moment2 = HostArray.of(device, np.zeros_like(start))
-        self.average = HostArray.of(device, start)
-
-    @property
-    def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
-        return self.value, self.moment1, self.moment2, self.average

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from .alpha import scale
+from .clock import UNLIMITED, Clock
 from .density import Density, DensityNetwork, tabulate
 from .device import Device, HostArray
 from .integrator import Integrator
@@ -57,7 +58,8 @@ def control_variate(
     columns: int | None = None,
     factor: HostArray | None = None,
     unit: np.ndarray | None = None,
-    save: str | Path | None = None,
+    save: Callable[[dict[str, np.ndarray]], None] | None = None,
+    clock: Clock = UNLIMITED,
 ) -> ControlVariate:
     """Make a control variate of a trained network.
 
@@ -73,9 +75,16 @@ def control_variate(
         As `FoldedNetwork` takes it.
     unit : ndarray, optional
         As `tabulate` takes it.
-    save : str or Path, optional
-        Where network and density are kept, before anything else can fail.
+    save : callable, optional
+        Keeps the network with these arrays of its density, before anything else can fail.
+    clock : Clock
+
+    Raises
+    ------
+    OutOfTime
+        Where the time limit has passed before the densities are known.
     """
+    check = None if clock.limit is None else clock.check
     with watch("fold"):
         folded = FoldedNetwork(device, network, points, factor)
     with watch("alpha"):
@@ -83,15 +92,16 @@ def control_variate(
             alpha = learn_alpha(points, folded, learned.trainer, columns)
         if alpha is not None:
             scale(folded, alpha)
+    clock.check()
     table = None
     if settings.uses_density or settings.allocates:
         with watch("density"):
             if learned is not None:
-                density = learn_density(device, points, folded, learned.trainer, unit)
+                density = learn_density(device, points, folded, learned.trainer, unit, check)
             if density is not None:
                 table = tabulate(device, density, network, points, unit)
     if save is not None:
-        network.save(save, **(density.arrays() if density is not None else {}))
+        save(density.arrays() if density is not None else {})
     with watch("integrate"):
         integral = integrals_of(device, folded, points.active)
     return ControlVariate(folded, integral, table, density, alpha)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from test_determinism import assert_same_bits
 
 import ncv_cl
-from ncv_cl import render
+from ncv_cl import render, report
 from ncv_cl.checkpoint import Checkpoint, CheckpointError
 
 OPTIONS = {"spp": 96, "train_spp": 4, "size": (12, 10), "seed": 3}
@@ -84,6 +85,61 @@ def test_another_scene_is_refused(one_device, scenes, tmp_path):
         render(scenes / "occluders.toml", method="mc", device=one_device, resume=file, **OPTIONS)
 
 
+def test_other_kernels_and_other_shapes_of_kernels_are_refused(
+    one_device, scenes, tmp_path, monkeypatch
+):
+    file = tmp_path / "checkpoint.npz"
+    picture(scenes, one_device, method="mc", checkpoint=file)
+    for name, value in {
+        "vector_width": one_device.vector_width // 2 or 2,
+        "lanes": 4,
+        "use_fma": not one_device.use_fma,
+    }.items():
+        with pytest.raises(CheckpointError, match="fma" if name == "use_fma" else "device"):
+            picture(scenes, replace(one_device, **{name: value}), method="mc", resume=file)
+    monkeypatch.setattr("ncv_cl.report.kernel_digest", lambda: "another")
+    with pytest.raises(CheckpointError, match="kernels is 'another'"):
+        picture(scenes, one_device, method="mc", resume=file)
+
+
+def test_the_hash_of_the_kernels_is_of_their_text(tmp_path, monkeypatch):
+    digest = report.kernel_digest.__wrapped__
+    monkeypatch.setattr(report, "kernel_folder", lambda: tmp_path)
+    (tmp_path / "a.cl").write_text("kernel void a() {}")
+    first = digest()
+    (tmp_path / "a.cl").write_text("kernel void b() {}")
+    assert digest() != first
+    (tmp_path / "a.cl").rename(tmp_path / "b.cl")
+    assert len({first, digest(), report.kernel_digest()}) == 3
+
+
+def test_another_given_network_is_refused(one_device, scenes, tmp_path):
+    """A checkpoint goes on with its own network, so the one named must be that."""
+    for number in (1, 2):
+        picture(scenes, one_device, method="ncv", seed=number, save_network=tmp_path / f"{number}.npz")
+    file = tmp_path / "checkpoint.npz"
+    options = {"method": "ncv", "network": tmp_path / "1.npz"}
+    whole = picture(scenes, one_device, **options)
+    picture(scenes, one_device, **options, checkpoint=file, stop=lambda: True)
+    assert_same_bits(picture(scenes, one_device, **options, resume=file), whole)
+    with pytest.raises(CheckpointError, match="network is"):
+        picture(scenes, one_device, method="ncv", network=tmp_path / "2.npz", resume=file)
+
+
+@pytest.mark.parametrize("case", [{"method": "mc"}, {"method": "ncv"}])
+def test_a_render_that_ran_out_of_time_goes_on_without_a_limit(one_device, scenes, tmp_path, case):
+    """Short passes first, then long ones: the same samples, added up in other parts."""
+    file = tmp_path / "checkpoint.npz"
+    part = picture(
+        scenes, one_device, **case, time_limit=1e4, checkpoint=file, stop=lambda: file.exists()
+    )
+    assert part.stats["ended_by"] == "request"
+    again = picture(scenes, one_device, **case, resume=file)
+    whole = picture(scenes, one_device, **case)
+    assert again.stats["samples_per_point"] == whole.stats["samples_per_point"]
+    np.testing.assert_allclose(again.pixels, whole.pixels, rtol=2e-5, atol=1e-6)
+
+
 @pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04"])
 def test_broken_files_are_refused(tmp_path, content):
     file = tmp_path / "checkpoint.npz"
@@ -101,8 +157,11 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(one_device, scenes, tm
         raise OSError("disk full")
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(OSError, match="disk full"):
-        picture(scenes, one_device, method="mc", checkpoint=file)
+    with pytest.warns(UserWarning, match="checkpoint.npz is not written: .*disk full") as warned:
+        image = picture(scenes, one_device, method="mc", checkpoint=file)
+    # The picture is there all the same, after one warning for all passes, and says what is not.
+    assert image.pixels.any() and image.stats["samples_per_point_range"][0] == 96 and len(warned) == 1
+    assert "disk full" in image.stats["not_written"][str(file)]
     assert file.read_bytes() == before and list(tmp_path.iterdir()) == [file]
 
 

@@ -7,9 +7,11 @@ import os
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 import ncv_cl
@@ -110,6 +112,24 @@ def test_a_reference_adds_errors(cli):
         (["-o", "a.exr", "--device", "99"], "no device 99"),
         (["-o", "a.exr", "--device", "abacus"], "no device matches 'abacus'"),
         (["-o", "a.exr", "--reference", "none.exr"], r"none\.exr"),
+        (["-o", "a.exr", "--reference", "."], "no image file"),
+        (["-o", "a.exr", "-o", "./a.exr"], "output 2 would be written over output 1"),
+        (["-o", "a.exr", "--json", "a.exr"], "--json would be written over output 1"),
+        (["-o", "a.exr", "--checkpoint", "x", "--save-network", "x"], "would be written over"),
+        (["-o", "a.exr", "--json", "."], "it is a folder"),
+        (["-o", "a.exr", "--checkpoint", "no/such/c"], "no folder"),
+        (["-o", "a.exr", "--save-network", "n" * 300], "too long"),
+        (["-o", "a.exr", "--method", "mc", "--save-network", "n.npz"], "no network to use or to save"),
+        (["-o", "a.exr", "--radius", "3"], "--radius is for --integrand ao"),
+        (["-o", "a.exr", "--mapping", "cosine", "--integrand", "gi"], "--mapping is for --integrand ao"),
+        (["-o", "a.exr", "--max-depth", "3"], "--max-depth is for --integrand gi"),
+        (["-o", "a.exr", "--clamp", "3", "--integrand", "ao"], "--clamp is for --integrand gi"),
+        (["-o", "a.exr", "--size", "99999x99999"], "more than 2147483647 sub-pixels"),
+        (["-o", "a.exr", "--spp", "99999999999"], "spp.*at most"),
+        (["-o", "a.exr", "--train-spp", "inf"], "train_spp.*positive"),
+        (["-o", "a.exr", "--time-limit", "nan"], "time_limit.*positive"),
+        (["-o", "a.exr", "--resume", "none.npz"], "no file none.npz"),
+        (["-o", "a.exr", "--network", "."], "is a folder"),
         ([], "required.*-o"),
     ],
 )
@@ -132,6 +152,99 @@ def test_a_reference_of_another_size_is_refused(cli):
     assert status == 2 and "4x4" in err and "8x6" in err and len(err.splitlines()) == 1
 
 
+def test_what_can_be_refused_is_refused_before_anything_is_traced(cli, monkeypatch):
+    """A file that cannot be written, or a reference of another size, costs no render."""
+    assert cli("-o", "reference.exr", "--size", "4x4", "--method", "mc")[0] == 0
+    monkeypatch.setattr("ncv_cl.prepare.find_points", lambda *arguments: pytest.fail("worked"))
+    for options in (
+        ["--checkpoint", "no/such/folder"],
+        ["--save-network", "reference.exr/n"],
+        ["--json", "."],
+        ["--reference", "reference.exr"],
+        ["--seed", str(1 << 64)],
+        ["--resume", "reference.exr"],
+        ["--network", "reference.exr"],
+    ):
+        assert cli("-o", "a.exr", *options)[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory"),
+        (MemoryError("Unable to allocate 9 TiB"), "9 TiB"),
+        (RuntimeError("building a + b failed:\n  line 1\n\n  line 2"), "failed:; line 1; line 2"),
+        (FloatingPointError("3 of 9 points"), "3 of 9 points"),
+        (OverflowError("too large"), "too large"),
+        (cl.LogicError("clBuildProgram failed"), "clBuildProgram failed"),
+        (BrokenPipeError(32, "Broken pipe"), "Broken pipe"),
+        (KeyError("x"), "internal error, please report it.*KeyError: 'x'"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_errors_of_every_kind_end_in_a_line(cli, monkeypatch, error, said):
+    def fail(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr("ncv_cl.cli.render", fail)
+    status, _, err = cli("-o", "a.exr")
+    assert status == 2 and len(err.splitlines()) == 1 and re.search(said, err)
+
+
+def test_an_interrupt_ends_in_a_line(cli, monkeypatch):
+    def fail(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ncv_cl.cli.render", fail)
+    assert cli("-o", "a.exr")[::2] == (130, "ncv-cl: error: interrupted\n")
+
+
+def test_warnings_are_a_line_each(cli, monkeypatch):
+    def warn(scene):
+        warnings.warn("something is odd", stacklevel=2)
+        raise ValueError("and wrong")
+
+    monkeypatch.setattr("ncv_cl.cli.load_scene", warn)
+    status, _, err = cli("-o", "a.exr")
+    assert status == 2
+    assert err == "ncv-cl: warning: something is odd\nncv-cl: error: and wrong\n"
+
+
+def test_what_fails_after_the_work_costs_no_picture(cli, monkeypatch):
+    """The other files are written, the line says what is not, and so does the exit status."""
+    write = Image.write
+
+    def full(self, path):
+        if path.endswith(".exr"):
+            raise OSError("cannot write a.exr: disk full")
+        write(self, path)
+
+    monkeypatch.setattr(Image, "write", full)
+    status, out, err = cli("-o", "a.exr", "-o", "a.png", "--json", "a.json")
+    assert status == 2 and "disk full" in err and len(err.splitlines()) == 1
+    assert Path("a.png").exists() and Path("a.json").exists() and out.endswith("wrote a.png\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_statistics_that_cannot_be_written_cost_no_picture(cli):
+    status, _, err = cli("-o", "a.exr", "--json", "/dev/full")
+    assert status == 2 and "/dev/full" in err and len(err.splitlines()) == 1
+    assert Image.read("a.exr").pixels.any()
+
+
+@pytest.mark.parametrize("what", ["checkpoint", "save-network"])
+def test_what_is_kept_beside_the_picture_costs_no_picture(cli, monkeypatch, what):
+    def full(file, *arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    status, _, err = cli("-o", "a.exr", "--method", "ncv", f"--{what}", "a.npz", "--json", "a.json")
+    assert status == 2 and not Path("a.npz").exists()
+    assert err == "ncv-cl: warning: a.npz is not written: cannot write a.npz: No space left on device\n"
+    assert Image.read("a.exr").pixels.any()
+    assert "No space left" in json.loads(Path("a.json").read_text())["not_written"]["a.npz"]
+
+
 def command(*arguments: str) -> dict:
     """Arguments for subprocess: `ncv-cl` with pipes instead of a terminal."""
     environment = {**os.environ, "PYTHONPATH": str(Path(ncv_cl.__file__).parent.parent)}
@@ -150,6 +263,37 @@ def test_pipes_get_no_progress_bar(scenes, one_device, tmp_path):
     done = subprocess.run(**command("render", scene, *TINY, "--device", device, *target))
     assert done.returncode == 0, done.stderr
     assert done.stderr == "" and "\r" not in done.stdout
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "ascii:strict", "latin-1", "utf-8"])
+def test_names_that_the_terminal_cannot_show_cost_no_picture(scenes, one_device, tmp_path, encoding):
+    scene, device = str(scenes / "cornell_box.toml"), str(one_device.index)
+    target = tmp_path / "Bild – ü.png"
+    run = command("render", scene, *TINY, "--device", device, "-o", str(target))
+    done = subprocess.run(**{**run, "env": run["env"] | {"PYTHONIOENCODING": encoding}, "text": False})
+    assert done.returncode == 0, done.stderr
+    assert target.exists() and b"wrote " in done.stdout and done.stderr == b""
+
+
+def test_output_that_nobody_reads_ends_in_a_line(layers, one_device):
+    """More than a pipe holds, into a pipe that is closed."""
+    many = np.random.default_rng(0).uniform(size=(20_000, 2))
+    np.savez(layers, weights0=np.eye(2), biases0=many)
+    run = command("integrate", str(layers), "--device", str(one_device.index))
+    with subprocess.Popen(**run) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+        assert process.wait() == 2
+    assert err.startswith("ncv-cl: error: standard output") and len(err.splitlines()) == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a POSIX shell")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_closed_streams_cost_no_picture(scenes, one_device, tmp_path, closed):
+    scene, device = str(scenes / "cornell_box.toml"), str(one_device.index)
+    run = command("render", scene, *TINY, "--device", device, "-o", str(tmp_path / "a.exr"))
+    done = subprocess.run(["sh", "-c", f'exec "$@" {closed}', "sh", *run["args"]], env=run["env"])
+    assert done.returncode == 0 and Image.read(tmp_path / "a.exr").pixels.any()
 
 
 def test_version_and_help_name_the_commands(capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -86,6 +87,11 @@ def test_a_seed_gives_the_same_bits(one_device):
         (lambda u, v, point: u[:-1], {}, "f must return"),
         (lambda u, v, point: np.stack([u, v]), {"channels": 2}, "f must return"),
         (lambda u, v, point: np.where(point == 3, np.nan, u), {}, "not finite at .* point 3"),
+        (lambda u, v, point: np.where(point > 61, np.inf, u), {}, "at 34 of .* of 2 points.* point 62"),
+        (lambda u, v, point: np.where(point == 5, 1e30, u), {}, "beyond its median .* point 5"),
+        (lambda u, v, point: u + 1j, {}, "real numbers"),
+        (lambda u, v, point: np.full(u.shape, "one"), {}, "real numbers"),
+        (disks, {"features": np.full((POINTS, 1), "one")}, "features must be real numbers"),
         (disks, {"features": np.zeros(POINTS)}, r"features must be \(64, 1 to 3\)"),
         (disks, {"features": np.full((POINTS, 1), np.inf)}, "features must be finite"),
         (disks, {"points": 0}, "at least 1"),
@@ -110,3 +116,64 @@ def test_one_integral_is_learned_from_few_samples(device):
     )
     # Eight passes over 64 samples are 32 steps, after which a fourteenth is left.
     assert found.stats["residual_variance_ratio"] < 0.03
+
+
+def error_of(function, features, device, shift=0.0, **way):
+    """Root mean square over points and a few seeds, of f plus a constant."""
+    found = [
+        ncv.estimate(
+            lambda u, v, point: function(u, v, point) + shift,
+            POINTS,
+            features,
+            spp=32,
+            seed=seed,
+            device=device,
+            **way,
+        ).mean[:, 0]
+        for seed in range(4)
+    ]
+    return float(np.sqrt(np.mean((np.array(found) - shift - math.pi * RADII**2) ** 2)))
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: "-".join(map(str, way.values())))
+def test_a_constant_costs_nothing(one_device, way):
+    alone = error_of(disks, RADII[:, None], one_device, **way)
+    for shift in (1e4, -1e6):
+        # float64 rounds f plus 1e6 to 1e-10.
+        assert error_of(disks, RADII[:, None], one_device, shift, **way) == pytest.approx(
+            alone, rel=0.02
+        )
+
+
+def test_constants_of_channels_are_their_own(one_device):
+    shift = np.array([1e5, -3.0])
+    found = ncv.estimate(
+        lambda u, v, point: waves(u, v, point) + shift,
+        5,
+        np.arange(5.0)[:, None],
+        channels=2,
+        train_spp=64,
+        device=one_device,
+    )
+    expected = np.stack([0.25 + np.arange(5) / 10, np.zeros(5)], axis=-1) + shift
+    np.testing.assert_allclose(found.mean, expected, rtol=0, atol=2e-2)
+    # What the network integrates to is of f itself, too.
+    np.testing.assert_allclose(found.network_integral, expected, rtol=0, atol=0.5)
+
+
+@pytest.mark.parametrize(("shift", "scale"), [(1e6, 1.0), (-1e12, 1e3), (0.0, 1e300)])
+def test_features_far_from_zero_are_told_apart(one_device, shift, scale):
+    way = {"method": "ncv", "train_spp": 32}
+    near = error_of(disks, RADII[:, None], one_device, **way)
+    far = error_of(disks, RADII[:, None] * scale + shift, one_device, **way)
+    # Rounding of the features themselves, 1e-10 to 1e-7 of their range, is all that differs.
+    assert far == pytest.approx(near, rel=0.1)
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+def test_one_sample_has_no_variance(one_device, method, sampler):
+    options = {"method": method, "sampler": sampler, "spp": 1, "allocation": "uniform"}
+    found = ncv.estimate(disks, POINTS, RADII[:, None], train_spp=4, device=one_device, **options)
+    assert np.isfinite(found.mean).all() and np.isnan(found.variance).all()
+    json.dumps(found.stats, allow_nan=False)

@@ -77,7 +77,7 @@ def test_means_and_variances_match_float64(device, channels, lengths, mean, spre
     # Of means, single precision keeps this much; of a batch's few samples not more.
     ulp = np.spacing(np.float32(abs(mean) + 4 * spread)).astype(float)
     np.testing.assert_allclose(estimate.mean, values.mean(-1), atol=2 * ulp, rtol=0)
-    variance = values.var(-1, ddof=1) if sum(lengths) > 1 else np.zeros_like(estimate.variance)
+    variance = values.var(-1, ddof=1) if sum(lengths) > 1 else np.full_like(estimate.variance, np.nan)
     # Each mean that enters a merge is off by half an ulp, and so enters squared or times the spread.
     slack = 4 * ulp * spread + ulp**2
     np.testing.assert_allclose(estimate.variance, variance, rtol=2e-4, atol=slack)
@@ -168,10 +168,11 @@ def test_equal_values_have_no_variance(device):
 
 
 @pytest.mark.parametrize("points", [0, POINTS])
-def test_no_samples_give_zeros(one_device, points):
+def test_no_samples_give_zeros_of_unknown_variance(one_device, points):
     estimate = Estimator(one_device, some_points(points), 3).result()
-    for array in (estimate.mean, estimate.variance, estimate.variance_of_mean):
-        np.testing.assert_array_equal(array, np.zeros((3, points)))
+    np.testing.assert_array_equal(estimate.mean, np.zeros((3, points)))
+    for array in (estimate.variance, estimate.variance_of_mean):
+        np.testing.assert_array_equal(array, np.full((3, points), np.nan))
 
 
 def test_only_chosen_points_are_counted(one_device):
@@ -194,7 +195,7 @@ def test_estimates_of_other_samples_are_merged():
     counts = np.array([0, 1000, 2000, 3000, 4000])
     parts = []
     for of_point in (lambda n: slice(n), lambda n: slice(n, None)):
-        mean, variance = np.zeros((2, 2, 5))
+        mean, variance = np.zeros((2, 5)), np.full((2, 5), np.nan)
         samples = np.zeros(5)
         for point, count in enumerate(counts):
             own = values[:, point, of_point(count)]

@@ -74,7 +74,7 @@ def test_a_learned_guide_lowers_the_nested_noise(device, scenes):
     def noise():
         once, twice = (
             shadowed_values(source.draw(*everything, Stream.RESIDUAL, paths=paths), 3)
-            for paths in (Stream.RESIDUAL, Stream.CALIBRATION)
+            for paths in (Stream.RESIDUAL, Stream.RESIDUAL_AGAIN)
         )
         return np.mean((once - twice) ** 2)
 

@@ -51,6 +51,18 @@ def test_no_sample_is_drawn_twice_and_held_out_points_are_in_no_round(active, sp
     assert (found.held_out is not None) == (len(found.rounds) > 1)
 
 
+@pytest.mark.parametrize(
+    ("active", "train_spp"), [(577, 4.0), (577, 15.9), (1000, 0.3), (3, 1.0), (50, 9)]
+)
+def test_points_that_are_trained_on_are_chosen_once(active, train_spp):
+    for seed in range(20):
+        settings = RenderSettings(
+            DirectLight(), "ncv", "sobol", 64, train_spp, (active, 1), 1, seed, "default"
+        )
+        chosen, _ = settings.training_points(active, TRAINING_PASS, 1 << 19)
+        assert len(np.unique(chosen)) == len(chosen) and chosen.max() < active
+
+
 @pytest.mark.parametrize(("active", "spp"), SIZES[:3])
 def test_rounds_grow_about_twofold_and_use_what_is_allowed(active, spp):
     counts = np.array([part.count for part in plan(active, spp, seed=0).rounds])

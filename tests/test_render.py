@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ncv_cl import render
+from ncv_cl import Image, render
+from ncv_cl.integrands import IntegrandError
 from ncv_cl.presets import PRESETS
+from ncv_cl.report import about_values
 
 OPTIONS = {"spp": 64, "train_spp": 16, "size": (8, 8)}
 
@@ -72,3 +74,54 @@ def test_rendering_ends_in_time(one_device, scenes):
 def test_options_that_do_not_go_together_are_refused(one_device, scenes, options, message):
     with pytest.raises(ValueError, match=message):
         render(scenes / "cornell_box.toml", device=one_device, **options)
+
+
+@pytest.mark.parametrize("integrand", ["direct", "gi"])
+def test_light_beyond_float32_is_refused(one_device, scenes, tmp_path, integrand):
+    """Its records would be infinite or NaN, and every sample of it black."""
+    text = (scenes / "plane_light.toml").read_text()
+    (tmp_path / "hot.toml").write_text(text.replace("radiance = 5", "radiance = 3e38"))
+    with pytest.raises(IntegrandError, match="beyond float32"):
+        render(tmp_path / "hot.toml", integrand, "mc", spp=1, size=(4, 4), device=one_device)
+
+
+def test_pixels_that_are_not_finite_are_counted_and_named():
+    pixels = np.ones((4, 5, 3))
+    pixels[2, 3, 1], pixels[3, 0] = np.nan, np.inf
+    image = Image(pixels, np.ones((4, 5, 3)))
+    with pytest.warns(UserWarning, match="2 of 20 pixels are not finite, the first in row 2, column 3"):
+        about_values(image, np.ones((4, 5, 3)))
+    assert image.stats["pixels_not_finite"] == 2
+    # There is no error to speak of, and the picture is not lost over it.
+    assert image.stats["mse"] is None and image.stats["relmse"] is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": (8,)}, "size must be a width and a height"),
+        ({"size": "8x8"}, "size must be a width and a height"),
+        ({"size": (8.5, 8)}, r"size\[0\] must be a whole number"),
+        ({"size": (float("nan"), 8)}, r"size\[0\] must be a whole number"),
+        ({"spp": "4"}, "spp must be a whole number"),
+        ({"spp": float("inf")}, "spp must be a whole number"),
+        ({"spp": None}, "spp must be a whole number"),
+        ({"spp": True}, "spp must be a whole number"),
+        ({"supersample": 2.5}, "supersample must be a whole number"),
+        ({"seed": -1}, "seed must be an integer"),
+        ({"seed": "1"}, "seed must be an integer"),
+        ({"train_spp": "many"}, "train_spp must be a positive number"),
+        ({"target_mse": "1"}, "target_mse must be a positive number"),
+        ({"time_limit": float("nan")}, "time_limit must be a positive number"),
+        ({"reference": np.ones((8, 9, 3))}, "reference must be"),
+        ({"reference": np.full((8, 8, 3), np.nan)}, "reference: 192 of 192 values are NaN"),
+        ({"reference": np.zeros((8, 8, 3))}, "black"),
+        ({"reference": [["a"]]}, "reference must be"),
+        ({"integrand": 5}, "integrand must be"),
+        ({"method": "mc", "network": "n.npz"}, "no network to use"),
+    ],
+)
+def test_bad_arguments_are_refused_before_the_work(one_device, scenes, monkeypatch, options, message):
+    monkeypatch.setattr("ncv_cl.prepare.find_points", lambda *arguments: pytest.fail("worked"))
+    with pytest.raises(ValueError, match=message):
+        render(scenes / "cornell_box.toml", device=one_device, **{"size": (8, 8), **options})

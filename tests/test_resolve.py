@@ -125,8 +125,8 @@ def test_training_samples_enter_by_their_number_or_their_error():
     own = np.where(samples > 0, truth + generator.normal(size=truth.shape) * np.sqrt(0.1), 0)
     training = Estimate(own, np.full(truth.shape, 6.0), samples)
     mean = truth + generator.normal(size=truth.shape) * np.sqrt(0.025)
-    for by_count, share in ((4.0, 0.75), (None, 0.2)):
-        combined, variance = combine(mean, np.full(truth.shape, 0.025), training, by_count)
+    for by_count, share in ((True, 0.75), (False, 0.2)):
+        combined, variance = combine(mean, np.full(truth.shape, 0.025), training, 4.0, by_count)
         np.testing.assert_array_equal(combined[:, samples == 0], mean[:, samples == 0])
         expected = share * own + (1 - share) * mean
         np.testing.assert_allclose(combined[:, 1::2], expected[:, 1::2], atol=0.05)
@@ -137,7 +137,7 @@ def test_training_samples_enter_by_their_number_or_their_error():
 def test_training_samples_that_could_not_be_noticed_are_left_out():
     mean, variance = np.ones((1, 4)), np.full((1, 4), 1e-6)
     training = Estimate(np.array([[0.0, 2, 0, 2]]), np.ones((1, 4)), np.full(4, 1.0))
-    np.testing.assert_array_equal(combine(mean, variance, training)[0], mean)
+    np.testing.assert_array_equal(combine(mean, variance, training, 1.0)[0], mean)
 
 
 @pytest.mark.parametrize("supersample", [1, 3])

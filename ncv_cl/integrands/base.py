@@ -46,6 +46,20 @@ class Integrand(ABC):
     def defines(self, scene: Scene) -> dict[str, int]:
         """The `-D` constants of the integrand's kernel files."""
 
+    def check(self, scene: Scene) -> None:
+        """Refuse a scene that does not suit the integrand.
+
+        Raises
+        ------
+        IntegrandError
+            As `data` raises it, or where its numbers are beyond float32: kernels take NaN for no light.
+        """
+        data = self.data(scene)
+        if "LIGHT_COUNT" in self.defines(scene) and not np.isfinite(data).all():
+            raise IntegrandError(
+                f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
+            )
+
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray | None:
         """Where f is zero for every (u, v), as far as that is certain without shadows.
 

@@ -1,0 +1,52 @@
+"""A time limit, and what is left of it."""
+
+from __future__ import annotations
+
+import math
+import time
+
+# Part of a time limit by which training, and a first pass or pilot, must be through.
+TRAINING_SHARE = 0.5
+FIRST_SHARE = 0.25
+# Steps of training between two looks at it.
+CHECKED_STEPS = 32
+
+
+class OutOfTime(Exception):
+    """A stage that cannot leave anything behind has reached its part of the time limit."""
+
+
+class Clock:
+    """A time limit, and what is left of it. Without a limit the clock is never asked.
+
+    Parameters
+    ----------
+    limit : float, optional
+        Seconds.
+    started : float
+        When they began, as `time.perf_counter` says.
+    """
+
+    def __init__(self, limit: float | None = None, started: float = 0.0) -> None:
+        self.limit = limit
+        self._started = started
+
+    def left(self, share: float = 1.0) -> float:
+        """Seconds until this share of the limit has passed; infinite without a limit."""
+        if self.limit is None:
+            return math.inf
+        return self._started + share * self.limit - time.perf_counter()
+
+    def over(self, share: float = 1.0) -> bool:
+        """Whether this share of the limit has passed."""
+        return self.left(share) <= 0.0
+
+    def check(self, share: float = 1.0) -> None:
+        """Raise `OutOfTime` if this share of the limit has passed."""
+        if self.over(share):
+            raise OutOfTime
+
+
+# Without a limit.
+UNLIMITED = Clock()
+NO_TIME = "the time limit left none for a control variate; the image is rendered by plain Monte Carlo"
