@@ -19,6 +19,7 @@ KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
     "arrangement device image scene_data scene_geometry scene_table",
+    "meshes",
     "program scene",
     "sampler trace",
     "points",

@@ -216,9 +216,12 @@ def test_missing_scene_file_is_named(tmp_path: Path) -> None:
     ("content", "reason"),
     [
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "empty"),
-        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "vertex 1 of the mesh is not finite"),
+        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "line 2: a vertex of the mesh is not finite"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles are degenerate"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+            "line 4: .* a vertex that does not exist: the file has 3",
+        ),
     ],
 )
 def test_bad_mesh_files_are_named(tmp_path: Path, content: str, reason: str) -> None:
