@@ -23,6 +23,7 @@ _TEXTURES = {
 }  # fmt: skip
 _LOBES = {"pc": "clear coat", "ps": "sheen", "aniso": "anisotropy"}
 _READ = {"kd", "ks", "ke", "ns", "d", "tr", "illum", "pr", "pm", "pcr", "anisor"}
+_METAL = {"pm", "map_pm", "map_rma", "map_orm"}
 # Models without highlights, and those that let light through.
 _DIFFUSE, _TRANSPARENT = (0, 1), (4, 6, 7, 9)
 # Arguments of a texture's options; -o, -s and -t have up to three.
@@ -70,14 +71,16 @@ class MaterialReader:
         # Blinn-Phong exponent to GGX: alpha = sqrt(2 / (Ns + 2)), roughness = sqrt(alpha).
         roughness = (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25
         roughness = self._number("pr", roughness)
-        metallic = self._number("pm", 0.0)
-        if metallic and ("map_pm" in self._statements or "map_rma" in self._statements):
-            metallic = 0.0
-        if metallic:
-            metallic = min(max(metallic, 0.0), 1.0)
-            diffuse, specular = metallic_model(diffuse, metallic)
+        if _METAL & set(self._statements):
+            diffuse, specular = metallic_model(diffuse, self._metallic())
         self._note_what_is_not_read()
         return FileMaterial(self._name, diffuse, specular, roughness, emission)
+
+    def _metallic(self) -> float:
+        """Pm; 0 under a texture that is not read."""
+        if set(self._statements) & _METAL - {"pm"}:
+            return 0.0
+        return min(max(self._number("pm", 0.0), 0.0), 1.0)
 
     def _colours(self) -> tuple[Colour, Colour, Colour]:
         """Kd, Ks and Ke, each times the mean of its texture."""
@@ -88,16 +91,16 @@ class MaterialReader:
             diffuse = three(FALLBACK_ALBEDO)
         specular = self._colour("ks", 1.0 if "map_ks" in self._statements else 0.0)
         emission = self._colour("ke", 1.0 if "map_ke" in self._statements else 0.0)
-        if self._model() in _DIFFUSE:
-            specular = three(0.0)
+        highlights = self._model() not in _DIFFUSE
+        specular = self._textured("map_ks", specular, 0.0) if highlights else three(0.0)
         return (
             self._textured("map_kd", diffuse, FALLBACK_ALBEDO),
-            self._textured("map_ks", specular, 0.0),
+            specular,
             self._textured("map_ke", emission, 0.0),
         )
 
     def _textured(self, key: str, factor: Colour, fallback: float) -> Colour:
-        if key not in self._statements or not any(factor):
+        if key not in self._statements:
             return factor
         name = _texture_name(self._statements[key])
         mean = mean_colour(find_file(self._folder, name))

@@ -107,8 +107,10 @@ def _read_materials(
                 library.setdefault(name, (keys, file.parent))
     found: dict[str, FileMaterial | None] = {}
     for name in used:
-        # Names may hold a # themselves; behind one that is not known it starts a comment.
-        known = name if name in library else name.split(" #")[0].strip()
+        known = name
+        while known not in library and "#" in known:
+            # Names may hold a # themselves; behind one that is not known it starts a comment.
+            known = known.rpartition("#")[0].strip()
         if known in library:
             keys, folder = library[known]
             found[name] = MaterialReader(known, keys, folder, notes).material()

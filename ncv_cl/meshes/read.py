@@ -129,6 +129,9 @@ def _world_mesh(geometry: FileGeometry, transform: Vectors, smooth: bool | None)
     linear = transform[:3, :3]
     vertices = geometry.vertices @ linear.T + transform[:3, 3]
     triangles = geometry.triangles
+    if not np.isfinite(vertices).all():
+        # Readers have checked the vertices in use.
+        vertices = np.where(np.isfinite(vertices), vertices, 0.0)
     if np.linalg.det(linear) < 0.0:
         triangles = triangles[:, ::-1]
     normals = np.zeros_like(vertices)
