@@ -51,9 +51,13 @@ def read_obj(path: Path, notes: Notes) -> list[FileGeometry]:
     names, of_face = _material_of_face(statements, len(counts))
     group = 2 * of_face[owner] + has_normals
     materials = _read_materials(path, statements, [names[i] for i in np.unique(of_face[owner])], notes)
-    geometries = []
-    for g in np.unique(group):
-        chosen = corners if np.all(group == g) else corners[group == g]
+    order = np.argsort(group, kind="stable")
+    groups, firsts = np.unique(group[order], return_index=True)
+    geometries: list[FileGeometry] = []
+    if not len(groups):
+        return geometries
+    for g, picked in zip(groups, np.split(order, firsts[1:]), strict=True):
+        chosen = corners[picked]
         vertices, given, local = _compact(chosen, positions, normals if g % 2 else None)
         material = materials[names[g // 2]]
         if colours is not None:
