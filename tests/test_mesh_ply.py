@@ -56,6 +56,8 @@ def test_headers_with_other_line_ends_comments_and_encodings(tmp_path: Path) -> 
         plain.replace(b"made by hand", "Größe".encode()),
         b"\xef\xbb\xbf" + plain,
         ascii_form.replace(b"\n", b"\r\n"),
+        ascii_form.replace(b"\n", b"\r"),
+        ascii_form.replace(b"\n", b"\n \n").replace(b" ", b"\t  "),
         ascii_form.replace(b"made by hand", "Größe".encode("latin-1")),
         b"\xef\xbb\xbf" + ascii_form,
     ]

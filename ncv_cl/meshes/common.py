@@ -74,13 +74,17 @@ class Notes:
 
     def shape(self, kind: str, name: str, count: int = 1) -> None:
         """Note something about the geometry."""
-        names = self.geometry.setdefault(kind, {})
-        names[name] = names.get(name, 0) + count
+        _count(self.geometry, kind, name, count)
 
     def look(self, kind: str, name: str, count: int = 1) -> None:
         """Note something about a material."""
-        names = self.looks.setdefault(kind, {})
-        names[name] = names.get(name, 0) + count
+        _count(self.looks, kind, name, count)
+
+
+def _count(notes: dict[str, dict[str, int]], kind: str, name: object, count: int) -> None:
+    # A malformed file may have a number for a name.
+    names = notes.setdefault(kind, {})
+    names[str(name)] = names.get(str(name), 0) + count
 
 
 def sentences(notes: dict[str, dict[str, int]]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -59,12 +60,13 @@ def _read(path: Path) -> PlyData:
         start = file.read(_LONGEST_HEADER)
     header = start[: start.find(b"end_header")]
     source: str | io.BytesIO = str(path)
-    if not header.isascii():
-        # A byte-order mark, or a comment in some other encoding: plyfile takes ASCII only.
-        text = header.removeprefix(codecs.BOM_UTF8).decode("ascii", errors="replace")
-        cleaned = text.replace("\ufffd", "?").encode()
-        source = io.BytesIO(cleaned + path.read_bytes()[len(header) :])
-    attempts = (None,) if b"format ascii" in header or isinstance(source, io.BytesIO) else (3, 4, None)
+    attempts: tuple[int | None, ...] = (3, 4, None)
+    if re.search(rb"^\s*format\s+ascii", header, re.MULTILINE):
+        # Blank lines and ends of lines as old Macs have them, which plyfile does not take.
+        lines = [line for line in path.read_bytes().splitlines() if line and not line.isspace()]
+        source, attempts = io.BytesIO(_plain(b"\n".join(lines) + b"\n")), (None,)
+    elif not header.isascii():
+        source, attempts = io.BytesIO(_plain(path.read_bytes())), (None,)
     for count in attempts:
         lengths = {} if count is None else {"face": dict.fromkeys(_INDEX_NAMES, count)}
         try:
@@ -73,6 +75,12 @@ def _read(path: Path) -> PlyData:
             if count is None:
                 raise ValueError(f"cannot be read: {error}") from error
     raise AssertionError("the last attempt returns or raises")
+
+
+def _plain(data: bytes) -> bytes:
+    """A file whose header is ASCII: without byte-order mark, or signs of other encodings in comments."""
+    header, end, body = data.removeprefix(codecs.BOM_UTF8).partition(b"end_header")
+    return bytes(byte if byte < 128 else ord("?") for byte in header) + end + body
 
 
 def _names(element: PlyElement) -> set[str]:
