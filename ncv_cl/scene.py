@@ -58,8 +58,9 @@ def load_scene(path: str | Path) -> Scene:
     Warns
     -----
     UserWarning
-        Where triangles without area were dropped, a mesh has no material or the scene lies so far
-        from the origin that single precision blurs it; also kept in `Scene.warnings`.
+        Where triangles without area were dropped, a mesh file has no material or something that is
+        left out or replaced, or the scene lies so far from the origin that single precision blurs
+        it; also kept in `Scene.warnings`.
     """
     path = Path(path)
     root = Table(path, "", _read_toml(path), _SCENE_KEYS)

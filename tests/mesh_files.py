@@ -191,6 +191,14 @@ class Gltf:
         path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(parts) + len(blob)) + parts + blob)
 
 
+def write_and_load(folder: Path, gltf: Gltf, primitives: list[dict], **tree: object) -> Scene:
+    """The scene of a file whose only mesh has these primitives."""
+    gltf.tree["meshes"] = [{"name": "m", "primitives": primitives}]
+    gltf.tree |= tree
+    gltf.write(folder / "a.gltf")
+    return load(folder, "a.gltf")
+
+
 def png_bytes(red: int, green: int, blue: int) -> bytes:
     """A PNG of one pixel."""
 

@@ -1,30 +1,17 @@
-"""glTF: accessors of every layout, topologies, nodes and scenes, and what is refused by name."""
+"""glTF: containers, accessors of every layout, topologies, and what is refused by name."""
 
 from __future__ import annotations
 
-import math
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mesh_files import SIX, SQUARE, Gltf, corners, load, same_surface, vector_areas
+from mesh_files import SIX, SQUARE, Gltf, load, same_surface, write_and_load
 
-from ncv_cl.scene import Scene, SceneError
+from ncv_cl.scene import SceneError
 
 POINTS = [tuple(p) for p in SQUARE.tolist()]
-
-
-def moved(x: float, y: float = 0.0, z: float = 0.0) -> list[tuple[float, float, float]]:
-    return [(a + x, b + y, c + z) for a, b, c in POINTS]
-
-
-def written(folder: Path, gltf: Gltf, primitives: list[dict], **tree: object) -> Scene:
-    """The scene of a file whose only mesh has these primitives."""
-    gltf.tree["meshes"] = [{"name": "m", "primitives": primitives}]
-    gltf.tree |= tree
-    gltf.write(folder / "a.gltf")
-    return load(folder, "a.gltf")
 
 
 @pytest.mark.parametrize("name", ["a.gltf", "a.glb", "A.GLB"])
@@ -74,7 +61,7 @@ def test_quantised_positions(tmp_path: Path, kind: str, normalised: bool) -> Non
     position = gltf.accessor((SQUARE / 2 * quantum).astype(kind), normalized=normalised)
     primitive = {"attributes": {"POSITION": position}, "indices": gltf.accessor(SIX)}
     needs = ["KHR_mesh_quantization"]
-    scene = written(
+    scene = write_and_load(
         tmp_path, gltf, [primitive], extensionsUsed=needs, extensionsRequired=needs,
         nodes=[{"mesh": 0, "scale": [2, 2, 2]}],
     )  # fmt: skip
@@ -86,7 +73,7 @@ def test_normalised_normals_and_the_most_negative_integer(tmp_path: Path) -> Non
     normals = np.array([(0, 0, 127), (0, 0, -128), (0, 76, 102), (0, 0, 64)], "i1")
     primitive = gltf.square()
     primitive["attributes"]["NORMAL"] = gltf.accessor(normals, normalized=True)
-    found = written(tmp_path, gltf, [primitive]).vertex_normals
+    found = write_and_load(tmp_path, gltf, [primitive]).vertex_normals
     assert np.allclose(found, [(0, 0, 1), (0, 0, -1), (0, 0.597, 0.802), (0, 0, 1)], atol=1e-3)
 
 
@@ -100,7 +87,7 @@ def test_interleaved_attributes_and_offsets(tmp_path: Path) -> None:
     gltf.tree["accessors"].append(
         {"bufferView": indices, "byteOffset": 8, "componentType": 5125, "count": 6, "type": "SCALAR"}
     )
-    scene = written(tmp_path, gltf, [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2}])
+    scene = write_and_load(tmp_path, gltf, [{"attributes": {"POSITION": 0, "NORMAL": 1}, "indices": 2}])
     assert same_surface(scene, [POINTS]) and np.allclose(scene.vertex_normals, [0, 0.6, 0.8])
 
 
@@ -120,7 +107,7 @@ def test_sparse_values_are_put_in(tmp_path: Path, base: bool) -> None:
         # Without a buffer view all others are zero, as the first corner is.
         del gltf.tree["accessors"][position]["bufferView"]
     primitive = {"attributes": {"POSITION": position}, "indices": gltf.accessor(SIX)}
-    assert same_surface(written(tmp_path, gltf, [primitive]), [POINTS])
+    assert same_surface(write_and_load(tmp_path, gltf, [primitive]), [POINTS])
 
 
 @pytest.mark.parametrize(
@@ -139,7 +126,7 @@ def test_lists_strips_and_fans_with_and_without_indices(
         primitive = {"attributes": {"POSITION": gltf.accessor(SQUARE)}, "indices": indices}
     if mode is not None:
         primitive["mode"] = mode
-    scene = written(tmp_path, gltf, [primitive])
+    scene = write_and_load(tmp_path, gltf, [primitive])
     assert same_surface(scene, [POINTS]) and scene.warnings == ()
 
 
@@ -147,7 +134,7 @@ def test_points_and_lines_beside_triangles_are_counted(tmp_path: Path) -> None:
     gltf = Gltf()
     square = gltf.square()
     others = [square | {"mode": mode} for mode in (0, 1, 2, 3)]
-    scene = written(tmp_path, gltf, [*others, square, {"attributes": {}}])
+    scene = write_and_load(tmp_path, gltf, [*others, square, {"attributes": {}}])
     assert same_surface(scene, [POINTS])
     said = [warning.split("a.gltf: ")[1] for warning in scene.warnings]
     assert said[0].startswith("lines and points are left out: 4 (points in m.primitives[0], lines in ")
@@ -155,123 +142,7 @@ def test_points_and_lines_beside_triangles_are_counted(tmp_path: Path) -> None:
     with pytest.raises(
         SceneError, match=r"a\.gltf: the mesh is empty.*lines and points are left out: 4"
     ):
-        written(tmp_path, gltf, others)
-
-
-def test_nodes_place_one_mesh_many_times(tmp_path: Path) -> None:
-    gltf = Gltf()
-    half = math.sqrt(0.5)
-    nodes = [
-        {"children": [1, 2, 3], "translation": [10, 0, 0]},
-        {"mesh": 0},
-        # Column after column: scaled by 2, then moved by (0, 5, 0).
-        {"mesh": 0, "matrix": [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 5, 0, 1]},
-        # Of length two; a quarter turn about z after the stretch along x.
-        {"mesh": 0, "rotation": [0, 0, 2 * half, 2 * half], "scale": [3, 1, 1], "children": [4]},
-        {"mesh": 0, "translation": [0, 0, 1]},
-    ]
-    scene = written(tmp_path, gltf, [gltf.square()], nodes=nodes)
-    turned = [(10 - y, 3 * x, z) for x, y, z in POINTS]
-    assert same_surface(
-        scene,
-        [
-            moved(10),
-            [(10 + 2 * x, 5 + 2 * y, z) for x, y, z in POINTS],
-            turned,
-            [(x, y, z + 1) for x, y, z in turned],
-        ],
-    )
-
-
-def test_instances_of_an_extension_and_hidden_nodes(tmp_path: Path) -> None:
-    gltf = Gltf()
-    places = {"TRANSLATION": gltf.accessor(np.array([(0, 0, 0), (5, 0, 0)], "f4"))}
-    places["SCALE"] = gltf.accessor(np.array([(1, 1, 1), (2, 1, 1)], "f4"))
-    nodes = [
-        {
-            "mesh": 0,
-            "extensions": {"EXT_mesh_gpu_instancing": {"attributes": places}},
-            "children": [1, 2],
-        },
-        {"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": False}}, "children": [2]},
-        {"mesh": 0, "translation": [0, 50, 0]},
-    ]
-    nodes[0]["children"] = [1]
-    used = ["EXT_mesh_gpu_instancing", "KHR_node_visibility"]
-    scene = written(
-        tmp_path, gltf, [gltf.square()], nodes=nodes, extensionsUsed=used, extensionsRequired=used
-    )
-    assert same_surface(scene, [POINTS, [(5 + 2 * x, y, z) for x, y, z in POINTS]])
-    assert scene.warnings == ()
-
-
-@pytest.mark.parametrize(
-    ("tree", "expected", "said"),
-    [
-        ({}, [moved(0)], ""),
-        ({"scene": 1}, [moved(7)], "other scenes of the file are left out: 1 (0)"),
-        ({"scene": None}, [moved(0)], "other scenes of the file are left out: 1 (second)"),
-        ({"scenes": None, "scene": None}, [moved(0), moved(7)], ""),
-        ({"nodes": None, "scenes": None, "scene": None}, [moved(0)], "meshes that no node places stand"),
-    ],
-)
-def test_which_scene_is_shown(tmp_path: Path, tree: dict, expected: list, said: str) -> None:
-    gltf = Gltf()
-    gltf.tree["nodes"] = [{"mesh": 0}, {"mesh": 0, "translation": [7, 0, 0]}]
-    gltf.tree["scenes"] = [{"nodes": [0]}, {"nodes": [1], "name": "second"}]
-    if not tree:
-        gltf.tree["scenes"].pop()
-    for key, value in tree.items():
-        if value is None:
-            del gltf.tree[key]
-        else:
-            gltf.tree[key] = value
-    scene = written(tmp_path, gltf, [gltf.square()])
-    assert same_surface(scene, expected)
-    assert [said in warning for warning in scene.warnings] == [True] * bool(said)
-
-
-def test_a_flattened_node_among_others_is_left_out_and_named(tmp_path: Path) -> None:
-    gltf = Gltf()
-    nodes = [{"mesh": 0, "children": [1]}, {"mesh": 0, "scale": [0, 0, 0], "name": "hidden"}]
-    scene = written(tmp_path, gltf, [gltf.square()], nodes=nodes)
-    assert same_surface(scene, [POINTS])
-    assert scene.warnings[0].endswith("meshes that their node flattens are left out: 1 (hidden)")
-    with pytest.raises(SceneError, match=r"a\.gltf: the transform of a node in the file is singular"):
-        written(tmp_path, gltf, [gltf.square()], nodes=[{"mesh": 0, "scale": [0, 1, 1]}])
-
-
-def test_morph_targets_and_skins_in_the_rest_pose(tmp_path: Path) -> None:
-    gltf = Gltf()
-    primitive = gltf.square()
-    primitive["targets"] = [
-        {"POSITION": gltf.accessor(np.float32([(0, 0, 9)] * 4))},
-        {"POSITION": gltf.accessor(np.float32([(0, 0, 4)] * 4))},
-    ]
-    nodes = [{"mesh": 0, "weights": [0, 0.5], "children": [1]}, {"mesh": 0}]
-    animations = [{"name": "jump", "channels": [], "samplers": []}]
-    scene = written(tmp_path, gltf, [primitive], nodes=nodes, animations=animations)
-    assert same_surface(scene, [moved(0, 0, 2), POINTS])
-    assert scene.warnings[0].endswith("animations are left out, the rest pose is shown: 1 (jump)")
-
-    gltf = Gltf()
-    primitive = gltf.square()
-    joints = np.array([(0, 1, 0, 0)] * 4, "u1")
-    weights = np.float32([(0.5, 0.5, 0, 0)] * 4)
-    primitive["attributes"] |= {"JOINTS_0": gltf.accessor(joints), "WEIGHTS_0": gltf.accessor(weights)}
-    # Both joints are at x = 2. The second, bound at z = 1, is at 9 now: half of the way from there.
-    bind = np.stack([np.eye(4), np.eye(4)])
-    bind[1, 2, 3] = -1.0
-    bind = np.float32(bind.transpose(0, 2, 1).reshape(2, 16))
-    skins = [{"joints": [1, 2], "inverseBindMatrices": gltf.accessor(bind)}]
-    nodes = [
-        # A skin's mesh does not move with its own node.
-        {"mesh": 0, "skin": 0, "translation": [100, 0, 0], "children": [1]},
-        {"translation": [-98, 0, 0], "children": [2]},
-        {"translation": [0, 0, 9]},
-    ]
-    scene = written(tmp_path, gltf, [primitive], nodes=nodes, skins=skins)
-    assert same_surface(scene, [moved(2, 0, 4)])
+        write_and_load(tmp_path, gltf, others)
 
 
 @pytest.mark.parametrize(
@@ -283,10 +154,12 @@ def test_a_required_extension_that_is_not_read_is_an_error(tmp_path: Path, exten
     with pytest.raises(
         SceneError, match=rf"a\.gltf: requires the extension {extension}, which is not read"
     ):
-        written(
+        write_and_load(
             tmp_path, gltf, [gltf.square()], extensionsUsed=[extension], extensionsRequired=[extension]
         )
-    scene = written(tmp_path, gltf, [gltf.square()], extensionsUsed=[extension], extensionsRequired=[])
+    scene = write_and_load(
+        tmp_path, gltf, [gltf.square()], extensionsUsed=[extension], extensionsRequired=[]
+    )
     assert same_surface(scene, [POINTS])
     said = [] if "draco" in extension else [f"extensions that are not read: 1 ({extension})"]
     assert [warning.split("a.gltf: ")[1] for warning in scene.warnings] == said
@@ -295,18 +168,18 @@ def test_a_required_extension_that_is_not_read_is_an_error(tmp_path: Path, exten
 def test_compressed_data_without_a_fallback_names_what_compressed_it(tmp_path: Path) -> None:
     gltf = Gltf()
     primitive = gltf.square(extensions={"KHR_draco_mesh_compression": {"bufferView": 0}})
-    assert same_surface(written(tmp_path, gltf, [primitive]), [POINTS])
+    assert same_surface(write_and_load(tmp_path, gltf, [primitive]), [POINTS])
     gltf.tree["accessors"][0].pop("bufferView")
     with pytest.raises(
         SceneError, match=r"m\.primitives\[0\] is compressed by KHR_draco_mesh_compression"
     ):
-        written(tmp_path, gltf, [primitive])
+        write_and_load(tmp_path, gltf, [primitive])
     gltf = Gltf()
     primitive = gltf.square()
     gltf.tree["bufferViews"][0] |= {"buffer": 1, "extensions": {"EXT_meshopt_compression": {}}}
     buffers = [{"uri": "data:,", "byteLength": 0}, {"byteLength": 48}]
     with pytest.raises(SceneError, match=r"buffers\[1\] has no data: .*EXT_meshopt_compression"):
-        written(tmp_path, gltf, [primitive], buffers=buffers)
+        write_and_load(tmp_path, gltf, [primitive], buffers=buffers)
 
 
 def bad(change: str) -> tuple[Gltf, list[dict]]:
@@ -386,7 +259,7 @@ def bad(change: str) -> tuple[Gltf, list[dict]]:
 )
 def test_errors_name_file_and_place(tmp_path: Path, change: str, reason: str) -> None:
     with pytest.raises(SceneError, match=rf"x\.toml: meshes\[0\]\.file: a\.gltf: ({reason})"):
-        written(tmp_path, *bad(change))
+        write_and_load(tmp_path, *bad(change))
 
 
 @pytest.mark.parametrize(
@@ -396,15 +269,3 @@ def test_what_is_no_gltf_is_said(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.glb").write_bytes(content)
     with pytest.raises(SceneError, match=r"a\.glb: (cannot be read|is a GLB file of|was cut off)"):
         load(tmp_path, "a.glb")
-
-
-def test_double_precision_survives_the_nodes(tmp_path: Path) -> None:
-    # A node at map coordinates, and the scene's own translation back.
-    gltf = Gltf()
-    far = np.array([4.0e6, 5.0e5, 0.125])
-    gltf.tree["meshes"] = [{"primitives": [gltf.square()]}]
-    gltf.tree["nodes"] = [{"mesh": 0, "translation": far.tolist()}]
-    gltf.write(tmp_path / "a.gltf")
-    scene = load(tmp_path, "a.gltf", f'material = "grey"\ntranslate = {(-far).tolist()}')
-    assert same_surface(scene, [POINTS])
-    assert np.abs(vector_areas(corners(scene)).sum(axis=0) - [0, 0, 4]).max() < 1e-6

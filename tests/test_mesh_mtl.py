@@ -77,6 +77,7 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("foo 1 2\nbar", "keys of materials that are not known: 2 (foo of m, bar of m)"),
         ("map_Bump -bm 0.5 b.png", UNREAD + "1 (map_bump b.png of m)"),
         ("map_d a.png\nnorm n.png", UNREAD + "2 (map_d a.png of m, norm n.png of m)"),
+        ("illum abc", NO_NUMBERS + "1 (illum abc of m)"),
         ("Ns abc", NO_NUMBERS + "1 (ns abc of m)"),
         ("Ks spectral file.rfl 1", NO_NUMBERS + "1 (ks spectral file.rfl 1 of m)"),
     ],

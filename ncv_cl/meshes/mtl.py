@@ -63,6 +63,7 @@ class MaterialReader:
         self._statements = statements
         self._folder = folder
         self._notes = notes
+        self._numbers: dict[str, list[float]] = {}
 
     def material(self) -> FileMaterial:
         """The material; notes what it has that is not read."""
@@ -138,6 +139,8 @@ class MaterialReader:
 
     def _values(self, key: str) -> list[float]:
         """The finite numbers behind a key; empty, and noted, if it has none."""
+        if key in self._numbers:
+            return self._numbers[key]
         text = self._statements[key].split("#")[0].removeprefix("-halo").split()
         try:
             values = [float(word) for word in text]
@@ -146,7 +149,8 @@ class MaterialReader:
         if len(values) not in (1, 3) or not all(map(math.isfinite, values)):
             kind = "keys of materials whose values are no numbers, as if they were absent"
             self._notes.look(kind, f"{key} {' '.join(text)} of {self._name}")
-            return []
+            values = []
+        self._numbers[key] = values
         return values
 
     def _number(self, key: str, default: float) -> float:
