@@ -119,6 +119,16 @@ def test_the_mean_of_a_texture_stands_for_it(tmp_path: Path, text: str, albedo: 
     assert sentence.lower().endswith("brown.png of m)")
 
 
+def test_a_black_factor_does_not_hide_a_texture(tmp_path: Path) -> None:
+    (tmp_path / "brown.png").write_bytes(png_bytes(128, 32, 32))
+    material, said = read(tmp_path, "Kd 0 0 0\nmap_Kd brown.png")
+    assert np.allclose(material.albedo, BROWN, atol=1e-5)
+    assert said == [
+        "materials with a black Kd beside a texture, which is taken for white: 1 (m)",
+        "textures are not read, their mean colour stands for them: 1 (map_Kd brown.png of m)",
+    ]
+
+
 @pytest.mark.parametrize("content", [None, b"no image"])
 def test_a_texture_that_cannot_be_read_is_half_its_factor(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:

@@ -90,6 +90,12 @@ class MaterialReader:
         if diffuse is None:
             self._notes.look(f"materials without Kd, whose albedo is {FALLBACK_ALBEDO:g}", self._name)
             diffuse = three(FALLBACK_ALBEDO)
+        elif textured and not any(diffuse):
+            # Nobody who gives a texture means to see nothing of it, and many tools write this.
+            self._notes.look(
+                "materials with a black Kd beside a texture, which is taken for white", self._name
+            )
+            diffuse = three(1.0)
         specular = self._colour("ks", 1.0 if "map_ks" in self._statements else 0.0)
         emission = self._colour("ke", 1.0 if "map_ke" in self._statements else 0.0)
         highlights = self._model() not in _DIFFUSE
