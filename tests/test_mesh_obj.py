@@ -221,6 +221,7 @@ def test_faces_that_cross_themselves_are_counted(tmp_path: Path) -> None:
         (V + "f 1 2 3\nf 1/1/1/1 2/1/1/1 3/1/1/1\n", r"line 6: '1/1/1/1' is not an index"),
         (V + "f 1 2 3/a\n", r"line 5: '3/a' is not an index"),
         ("v 0 0\n" + FACE, r"line 1: expected 3 or 4 or 6 or 7 numbers, found 2: 'v 0 0'"),
+        (FACE + "v 0 0 1x\n", r"line 6: '1x' is not a number"),
         ("v 0,5 0 0\n" + FACE, r"line 1: '0,5' is not a number"),
         ("v 0 \\\n 0 \\\n x\n" + FACE, r"line 1: 'x' is not a number"),
         ("v 0 0 0\nv 1 1 1\nv inf 0 0\nf 1 2 3", r"line 3: a vertex of the mesh is not finite"),

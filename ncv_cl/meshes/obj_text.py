@@ -216,13 +216,14 @@ def _parsed(text: str, dtype: type, count: int) -> NDArray | None:
     if count == 0:
         return np.zeros(0, dtype)
     with warnings.catch_warnings():
-        # Before numpy 2.3 a word that is no number ends the parse with this warning only.
+        # Before numpy 2.3 a word that is no number ends the parse with this warning only, and the
+        # number behind all others is not reached.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
-            values = np.fromstring(text, dtype, sep=" ")
+            values = np.fromstring(f"{text} 0", dtype, sep=" ")
         except ValueError:
             return None
-    return values if len(values) == count else None
+    return values[:-1] if len(values) == count + 1 else None
 
 
 def _raise_unreadable(rows: list[str], lines: list[int], key: str, parse: type) -> None:
