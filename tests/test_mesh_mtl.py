@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 from mesh_files import load, obj_text, own_materials, png_bytes
 
@@ -117,6 +118,33 @@ def test_the_mean_of_a_texture_stands_for_it(tmp_path: Path, text: str, albedo: 
     (sentence,) = said
     assert sentence.startswith("textures are not read, their mean colour stands for them: 1 (map_Kd ")
     assert sentence.lower().endswith("brown.png of m)")
+
+
+@pytest.mark.parametrize(
+    ("name", "channels", "expected"),
+    [
+        ("t.exr", 3, [0.25, 2.5, 0.0]),
+        ("t.png", 4, [0.4 * 0.21404, 0.4, 0.0]),
+        ("t.png", 3, [0.5 * 0.21404, 0.5, 0.0]),
+        ("t.png", 1, [0.5 * 0.21404] * 3),
+        ("t.tif", 3, [0.5 * 0.21404, 0.5, 0.0]),
+    ],
+)
+def test_means_are_taken_in_linear_light(
+    tmp_path: Path, name: str, channels: int, expected: list[float]
+) -> None:
+    """Integers are sRGB, floats linear. One of two pixels is black, with 3 / 2 of the alpha."""
+    bright = [0.5, 5.0 if name == "t.exr" else 1.0, 0.0, 0.4][:channels]
+    pixels = np.array([[bright, [0.0, 0.0, 0.0, 0.6][:channels]]], dtype=np.float32)
+    kind = {"t.exr": "half", "t.png": "uint16", "t.tif": "uint16"}[name]
+    output = oiio.ImageOutput.create(str(tmp_path / name))
+    spec = oiio.ImageSpec(2, 1, channels, kind)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    assert output.open(str(tmp_path / name), spec)
+    assert output.write_image(pixels) and output.close()
+    material, said = read(tmp_path, f"Ke 1 1 1\nKd 0\nmap_Ke {name}")
+    assert np.allclose(material.emission, expected, rtol=0.01)
+    assert f"map_Ke {name} of m" in said[0]
 
 
 def test_a_black_factor_does_not_hide_a_texture(tmp_path: Path) -> None:
