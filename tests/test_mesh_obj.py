@@ -103,6 +103,22 @@ def test_normals_belong_to_corners_and_faces_without_them_stay_flat(tmp_path: Pa
     assert len(flat) == 1 and not scene.vertex_normals[flat].any()
 
 
+def test_smooth_normals_do_not_break_where_the_material_changes(tmp_path: Path) -> None:
+    # A roof: two slopes of 45 degrees, each of a material of its own, whose mean normal points up.
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n")
+    (tmp_path / "r.obj").write_text(
+        "mtllib m.mtl\nv -1 0 0\nv -1 0 1\nv 0 1 0\nv 0 1 1\nv 1 0 0\nv 1 0 1\n"
+        "usemtl a\nf 1 2 4 3\nusemtl b\nf 3 4 6 5\n"
+    )
+    scene = load(tmp_path, "r.obj", "smooth = true")
+    ridge = scene.vertices[:, 1] == 1.0
+    assert ridge.sum() == 4 and np.allclose(scene.vertex_normals[ridge], [0, 1, 0], atol=1e-6)
+    eaves = scene.vertices[~ridge][:, :1]
+    assert np.allclose(
+        scene.vertex_normals[~ridge], np.hstack([eaves, 0 * eaves + 1, 0 * eaves]) / 2**0.5
+    )
+
+
 def test_smoothing_groups_without_normals_are_mentioned_unless_smooth_is_given(tmp_path: Path) -> None:
     (tmp_path / "s.obj").write_text("s 1\n" + FACE)
     (warning,) = load(tmp_path, "s.obj").warnings

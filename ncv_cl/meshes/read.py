@@ -112,22 +112,29 @@ def _placed(
     geometries: list[FileGeometry], transform: Vectors, smooth: bool | None, notes: Notes
 ) -> list[FileMesh]:
     materials: dict[FileMaterial | None, FileMaterial | None] = {None: None}
-    meshes = []
+    # What one node holds is one surface, whatever its materials: normals are averaged over all of it.
+    nodes: dict[bytes, list[int]] = {}
+    meshes: list[FileMesh] = []
     for geometry in geometries:
         if geometry.material not in materials:
             materials[geometry.material] = _usable(geometry.material, notes)
         whole = transform @ geometry.transform
         if is_invertible(whole):
+            if smooth or (smooth is None and geometry.normals is not None):
+                nodes.setdefault(whole.tobytes(), []).append(len(meshes))
             mesh = _world_mesh(geometry, whole, smooth)
             meshes.append(FileMesh(mesh, materials[geometry.material]))
         else:
             notes.shape("meshes that their node flattens are left out", geometry.name)
     if not meshes:
         raise ValueError("the transform of a node in the file is singular: it flattens the mesh")
+    for members in nodes.values():
+        _fill_in_normals([meshes[i].mesh for i in members])
     return meshes
 
 
 def _world_mesh(geometry: FileGeometry, transform: Vectors, smooth: bool | None) -> Mesh:
+    """A geometry with the file's normals, zero where it has none."""
     linear = transform[:3, :3]
     vertices = geometry.vertices @ linear.T + transform[:3, 3]
     triangles = geometry.triangles
@@ -139,10 +146,20 @@ def _world_mesh(geometry: FileGeometry, transform: Vectors, smooth: bool | None)
     normals = np.zeros_like(vertices)
     if geometry.normals is not None and smooth is not False:
         normals = normalised(geometry.normals @ np.linalg.inv(linear))
-    missing = ~np.any(normals, axis=1)
-    if missing.any() and (smooth or (smooth is None and geometry.normals is not None)):
-        normals[missing] = averaged_normals(vertices, triangles)[missing]
     return Mesh(vertices, normals, triangles)
+
+
+def _fill_in_normals(meshes: list[Mesh]) -> None:
+    """Give vertices without a normal, in place, the average over the triangles of all meshes there."""
+    missing = [~np.any(mesh.normals, axis=1) for mesh in meshes]
+    if not any(rows.any() for rows in missing):
+        return
+    firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    averages = averaged_normals(vertices, np.concatenate(triangles))
+    for mesh, rows, own in zip(meshes, missing, np.split(averages, firsts[1:-1]), strict=True):
+        mesh.normals[rows] = own[rows]
 
 
 def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
