@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
-from ncv_cl import scene_geometry
+from ncv_cl import meshes, scene_geometry
 from ncv_cl.scene_data import Camera, Material, QuadLight, Scene
 from ncv_cl.scene_geometry import SMALLEST_ROUGHNESS, Mesh
 from ncv_cl.scene_table import SceneError, Table
@@ -35,8 +35,6 @@ _SCENE_KEYS = (
 )
 # The float32 grid gets this much coarser, relative to the scene, before it is worth a warning.
 _FAR_FROM_ORIGIN = 1e4
-# For mesh files without materials, such as STL.
-_FALLBACK_ALBEDO = 0.5
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -60,8 +58,9 @@ def load_scene(path: str | Path) -> Scene:
     Warns
     -----
     UserWarning
-        Where triangles without area were dropped, a mesh has no material or the scene lies so far
-        from the origin that single precision blurs it; also kept in `Scene.warnings`.
+        Where triangles without area were dropped, a mesh file has no material or something that is
+        left out or replaced, or the scene lies so far from the origin that single precision blurs
+        it; also kept in `Scene.warnings`.
     """
     path = Path(path)
     root = Table(path, "", _read_toml(path), _SCENE_KEYS)
@@ -86,6 +85,8 @@ class _Assembly:
         self._triangle_material: list[NDArray[np.int32]] = []
         self._triangle_light: list[NDArray[np.int32]] = []
         self._n_vertices = 0
+        # Degenerate and all triangles of what a table's key describes.
+        self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
         self.warnings: list[str] = []
 
     def named_material(self, table: Table) -> int:
@@ -103,24 +104,33 @@ class _Assembly:
         self.warnings.append(str(table.error(key, message)))
 
     def add(self, table: Table, key: str, mesh: Mesh, material: int, light: int = -1) -> None:
-        """Append a mesh that `table` describes, without its degenerate triangles."""
+        """Append a mesh that `table` describes, maybe with others, without its degenerate triangles."""
         n_triangles = len(mesh.triangles)
         try:
             mesh, dropped = scene_geometry.drop_degenerate(mesh)
         except ValueError as error:
             raise table.error(key, str(error)) from error
+        _, others, total = self._dropped.get((table.where, key), (table, 0, 0))
+        self._dropped[table.where, key] = (table, others + dropped, total + n_triangles)
         if dropped == n_triangles:
-            raise table.error(key, "has no area: all its triangles are degenerate")
-        if dropped:
-            message = f"dropped {dropped} degenerate of {n_triangles} triangles (they have no area)"
-            self.warn(table, key, message)
+            return
         self._meshes.append(Mesh(mesh.vertices, mesh.normals, mesh.triangles + self._n_vertices))
         self._n_vertices += len(mesh.vertices)
         count = len(mesh.triangles)
         self._triangle_material.append(np.full(count, material, dtype=np.int32))
         self._triangle_light.append(np.full(count, light, dtype=np.int32))
 
+    def _report_dropped(self) -> None:
+        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
+        for (_, key), (table, dropped, total) in self._dropped.items():
+            if dropped == total:
+                raise table.error(key, "has no area: all its triangles are degenerate")
+            if dropped:
+                message = f"dropped {dropped} degenerate of {total} triangles (they have no area)"
+                self.warn(table, key, message)
+
     def scene(self, name: str, path: Path, camera: Camera, lights: list[QuadLight]) -> Scene:
+        self._report_dropped()
         if not self._meshes:
             raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
         vertices = np.concatenate([mesh.vertices for mesh in self._meshes]).astype(np.float32)
@@ -154,7 +164,8 @@ class _Assembly:
 
 def _read_toml(path: Path) -> dict[str, object]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        # Notepad and others write a byte-order mark, which TOML does not know.
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise SceneError(f"{path}: cannot read the scene file: {error.strerror}") from error
     except ValueError as error:  # TOML syntax, which carries its line, or text that is not UTF-8
@@ -281,12 +292,15 @@ def _add_mesh_files(root: Table, assembly: _Assembly) -> None:
         transform = _read_transform(table)
         material = assembly.named_material(table) if "material" in table else None
         smooth = table.flag("smooth", None)
+        key = f"file: {file.name}"
         try:
-            found = scene_geometry.read_meshes(file, transform, smooth)
+            found = meshes.read_meshes(file, transform, smooth)
         except ValueError as error:
-            raise table.error("file", f"{file.name}: {error}") from error
-        from_file: dict[scene_geometry.FileMaterial | None, int] = {}
-        for item in found:
+            raise table.error(key, str(error)) from error
+        for sentence in found.notes if material is None else found.shape_notes:
+            assembly.warn(table, key, sentence)
+        from_file: dict[meshes.FileMaterial | None, int] = {}
+        for item in found.meshes:
             index = material
             if index is None:
                 if item.material not in from_file:
@@ -294,28 +308,26 @@ def _add_mesh_files(root: Table, assembly: _Assembly) -> None:
                         _material_of_file(table, item.material, file.name, assembly)
                     )
                 index = from_file[item.material]
-            assembly.add(table, f"file: {file.name}", item.mesh, index)
+            assembly.add(table, key, item.mesh, index)
 
 
 def _material_of_file(
-    table: Table,
-    found: scene_geometry.FileMaterial | None,
-    file_name: str,
-    assembly: _Assembly,
+    table: Table, found: meshes.FileMaterial | None, file_name: str, assembly: _Assembly
 ) -> Material:
     if found is None:
         message = (
-            f"{file_name}: no material could be read; using a grey of albedo {_FALLBACK_ALBEDO:g} "
+            f"no material could be read; using a grey of albedo {meshes.FALLBACK_ALBEDO:g} "
             "(the key material sets another)"
         )
-        assembly.warn(table, "file", message)
-        albedo = np.full(3, _FALLBACK_ALBEDO, dtype=np.float32)
+        assembly.warn(table, f"file: {file_name}", message)
+        albedo = np.full(3, meshes.FALLBACK_ALBEDO, dtype=np.float32)
         return Material(file_name, albedo, np.zeros(3, dtype=np.float32), 1.0)
     return Material(
         name=f"{file_name}:{found.name}",
         albedo=np.array(found.albedo, dtype=np.float32),
         reflectance=np.array(found.reflectance, dtype=np.float32),
         roughness=found.roughness,
+        emission=np.array(found.emission, dtype=np.float32),
     )
 
 

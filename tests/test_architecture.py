@@ -21,6 +21,7 @@ ORDER = (
     "caches clock console files interrupt version",
     "runtimes",
     "arrangement certificate clip device image scene_data scene_geometry scene_table",
+    "meshes",
     "program scene",
     "sampler trace",
     "points",

@@ -207,6 +207,15 @@ def test_bad_input_names_file_key_and_index(tmp_path: Path, text: str, place: st
     assert reason in str(caught.value)
 
 
+def test_a_scene_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "bom.toml"
+    path.write_text(BASE, encoding="utf-8-sig")
+    assert load_scene(path).digest == load_text(tmp_path, BASE).digest
+    path.write_text("= 3", encoding="utf-8-sig")
+    with pytest.raises(SceneError, match=r"bom\.toml: not a TOML file: .*line 1, column 1"):
+        load_scene(path)
+
+
 def test_missing_scene_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"none\.toml: cannot read the scene file"):
         load_scene(tmp_path / "none.toml")
@@ -216,9 +225,12 @@ def test_missing_scene_file_is_named(tmp_path: Path) -> None:
     ("content", "reason"),
     [
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "empty"),
-        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "vertex 1 of the mesh is not finite"),
+        ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "line 2: a vertex of the mesh is not finite"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles are degenerate"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read"),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+            "line 4: .* a vertex that does not exist: the file has 3",
+        ),
     ],
 )
 def test_bad_mesh_files_are_named(tmp_path: Path, content: str, reason: str) -> None:

@@ -68,7 +68,8 @@ class DirectLight(Integrand):
             if material.emission.any():
                 raise IntegrandError(
                     f"{scene.name}: material {material.name!r} emits, but direct light is that of "
-                    "[[lights]] only: render integrand gi, which finds it, or take its emission away"
+                    "[[lights]] only: render integrand gi, which finds it, or take its emission away "
+                    "(if a mesh file has it: give the mesh a material of the scene)"
                 )
 
 

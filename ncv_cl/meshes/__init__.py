@@ -1,0 +1,10 @@
+"""Mesh files: OBJ with MTL, PLY, STL and glTF to triangles and materials in world space.
+
+Readers know nothing of scenes: they raise `ValueError` with what is wrong and where in the file, and
+note what they leave out or replace.
+"""
+
+from .common import FALLBACK_ALBEDO, FileMaterial
+from .read import FileMesh, FileMeshes, read_meshes
+
+__all__ = ["FALLBACK_ALBEDO", "FileMaterial", "FileMesh", "FileMeshes", "read_meshes"]
