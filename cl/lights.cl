@@ -1,8 +1,9 @@
 /* Points on the area lights, VEC at a time, as seen from the surface.
  *
- * Several lights share the one unit square: light k owns the strip first_k <= u < first_k + width_k, as wide
- * as its share of the emitted power, and u is stretched over the strip. So what is integrated over all lights
- * stays two-dimensional and one network serves all of them.
+ * Several lights share the one unit square: light k owns the strip first_k <= u < first_k + width_k, and u is
+ * stretched over the strip. So what is integrated over all lights stays two-dimensional and one network serves all
+ * of them. Widths are made by lights.py, multiples of a power of two that sum to 1: exact, as all this is with them.
+ * Lights without power have no strip.
  *
  * `lights`: LIGHT_COUNT records of LIGHT_FLOATS floats:
  *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance * area / width,
@@ -38,9 +39,7 @@ LightSample sample_lights(global const float *restrict lights, const triple posi
 #if LIGHT_COUNT == 1
     const whole here = (whole)(u >= 0.0f);
 #else
-    /* The last strip ends at 1 whatever the rounding of the widths. */
-    whole here = u >= first;
-    if (light + 1 < LIGHT_COUNT) here = here && (u < record[LIGHT_FLOATS + 15]);
+    const whole here = (u >= first) && (u < first + record[16]);
     if (!ANY(here)) continue;
 #endif
     const real point_x = corner.x + along * edge1.x + v * edge2.x;

@@ -22,7 +22,7 @@ from reference import (
 )
 
 from ncv_cl.integrands import DirectLight, IntegrandError
-from ncv_cl.integrands.direct import LIGHT_FLOATS, strip_widths
+from ncv_cl.integrands.lights import LIGHT_FLOATS, strip_widths
 from ncv_cl.samples import NO_RAY
 from ncv_cl.scene import load_scene
 
@@ -191,14 +191,78 @@ def test_an_occluder_casts_its_shadow(device):
     assert batch_arrays(batch, 3)["value"].min() > 0
 
 
-def test_lights_that_are_off_cost_a_sliver_and_give_nothing(device):
+def test_lights_that_are_off_cost_and_give_nothing(device):
     off = replace(LIGHTS[1], radiance=np.zeros(3, np.float32))
     scene = floor_scene((off, LIGHTS[0], off))
+    assert strip_widths(scene.lights).tolist() == [0, 1, 0]
+    assert np.isfinite(DirectLight().data(scene)).all()
     points, source, _ = sampling(device, scene, DirectLight(), (4, 3), 4096)
     mean = shadowed_values(source.draw(range(points.active), range(4096), 0), 3).mean(axis=-1)
-    np.testing.assert_allclose(mean, exact_radiance(scene, points), rtol=1e-3)
-    widths = strip_widths((off, off))
-    np.testing.assert_allclose(widths, 0.5)
+    np.testing.assert_allclose(mean, exact_radiance(scene, points), rtol=2e-5)
+    # Of two without power nothing is asked but a picture, which is black.
+    dark = floor_scene((off, off))
+    assert strip_widths(dark.lights).tolist() == [0.5, 0.5]
+    assert not render_plain(device, dark, DirectLight(), (4, 3), 16)[0].pixels.any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 16, 17, 1000, 5000])
+@pytest.mark.parametrize("ratio", [1.0, 1.3, 1e6, 1e30])
+def test_strips_are_dyadic_and_none_is_starved(count, ratio):
+    generator = np.random.default_rng(count)
+    strength = ratio ** generator.uniform(-0.5, 0.5, count)
+    lights = tuple(replace(LIGHTS[0], radiance=np.full(3, s, np.float32)) for s in strength)
+    widths = strip_widths(lights)
+    cells = 1 / np.gcd.reduce((widths * 2**24).astype(np.int64)) * 2**24
+    assert cells <= max(16, 8 * count)
+    # Exactly, also in float32: as the kernel compares them.
+    records = DirectLight().data(floor_scene(lights)).reshape(-1, LIGHT_FLOATS)
+    np.testing.assert_array_equal(records[:, 15][1:], (records[:, 15] + records[:, 16])[:-1])
+    assert records[0, 15] == 0 and records[-1, 15] + records[-1, 16] == 1
+    np.testing.assert_array_equal(records[:, 16], widths)
+    wanted = 0.5 * strength / strength.sum() + 0.5 / count
+    assert np.abs(widths - wanted).max() < 1 / max(16, 4 * count)
+    assert widths.min() >= 0.5 / count - 1 / max(16, 4 * count) > 0
+
+
+def test_a_hidden_sun_does_not_starve_a_lamp(device):
+    """The sun is behind a roof: nothing that the camera sees is lit by it."""
+    lamp = light_at([-0.1, 2, -0.1], [0.2, 0, 0], [0, 0, 0.2], 100)
+    sun = light_at([-50, 200, -50], [100, 0, 0], [0, 0, 100], 1000)
+    roof = quad([-20, 3, -20], [40, 0, 0], [0, 0, 40])
+    triangles = np.concatenate([FLOOR, roof])
+    for lights in ((lamp, sun), (sun, lamp)):
+        scene = mesh_scene(triangles, CAMERA, lights)
+        image, points = render_plain(device, scene, DirectLight(), (9, 7), 256)
+        exact = exact_radiance(mesh_scene(triangles, CAMERA, (lamp,)), points)
+        np.testing.assert_allclose(image.pixels.reshape(-1, 3).T, exact, rtol=2e-3)
+
+
+def test_strips_off_the_grid_would_ruin_sobol_points(device, monkeypatch):
+    """What the grid is for: two smooth lights, 1024 points, the same shares on it and off it."""
+    lights = (LIGHTS[0], light_at([2, 2, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)))
+
+    def error(shares):
+        monkeypatch.setattr("ncv_cl.integrands.lights.strip_widths", lambda lights: np.array(shares))
+        scene = floor_scene(lights)
+        image, points = render_plain(device, scene, DirectLight(), (9, 7), 1024)
+        return np.mean((image.pixels.reshape(-1, 3).T - exact_radiance(scene, points)) ** 2)
+
+    assert error([7 / 16, 9 / 16]) < 0.1 * error([0.4319, 0.5681])
+
+
+@pytest.mark.parametrize("sampler", ["independent", "sobol"])
+def test_forty_lights_of_very_different_power_add_up(device, sampler):
+    generator = np.random.default_rng(4)
+    lights = tuple(
+        light_at([x, 4, z], [0.5, 0, 0], [0, 0, 0.5], 10 ** generator.uniform(-3, 3, 3))
+        for x, z in generator.uniform(-5, 5, (40, 2))
+    )
+    scene = floor_scene(lights)
+    image, points = render_plain(device, scene, DirectLight(), (9, 7), 4096, sampler)
+    error = image.pixels.reshape(-1, 3).T - exact_radiance(scene, points)
+    z = error / np.sqrt(image.variance.reshape(-1, 3).T)
+    assert np.abs(z).max() < 4.5
+    assert z.std() < 1.2 and (sampler == "sobol" or z.std() > 0.8)
 
 
 def test_emitted_radiance_follows_the_side(one_device):
