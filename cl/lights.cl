@@ -7,7 +7,8 @@
  *
  * `lights`: LIGHT_COUNT records of LIGHT_FLOATS floats:
  *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance * area / width,
- *   15 first, 16 width, 17 two-sided (0 or 1), 18 offset of ray ends off the light's plane, 19 width / area.
+ *   15 first, 16 width, 17 two-sided (0 or 1), 18 offset of ray ends off the light's plane, for rays from the scene's
+ *   origin, 19 width / area.
  *
  * Work-group contract: none; pure functions of private values.
  */
@@ -19,6 +20,12 @@ typedef struct {
   real density;     /* of the direction, per solid angle */
   whole lit;        /* whether the light shines that way */
 } LightSample;
+
+/* How far rays from `position` end off the light's plane: some rounding errors of the coordinates that enter there,
+ * along its normal, which are those of the light about the position (surface.cl). */
+float light_offset(global const float *restrict record, const float3 position) {
+  return record[18] + 2.0f * RELATIVE_OFFSET * dot(fabs(vload3(3, record)), fabs(position));
+}
 
 LightSample sample_lights(global const float *restrict lights, const triple position, const triple origin,
                           const real u, const real v) {
@@ -60,7 +67,11 @@ LightSample sample_lights(global const float *restrict lights, const triple posi
           SELECT(found.radiance[channel], facing / squared * record[12 + channel], lit);
     found.density = SELECT(found.density, squared * record[19] / facing, lit);
     /* From the moved origin to a point off the light's plane, on the side the ray comes from. */
-    const real side = SELECT((real)(-record[18]), (real)record[18], emitted > 0.0f);
+    /* As light_offset. */
+    const real along_normal =
+        fabs(normal.x * position.x) + fabs(normal.y * position.y) + fabs(normal.z * position.z);
+    const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, (real)record[18]);
+    const real side = SELECT(-offset, offset, emitted > 0.0f);
     found.segment.x = SELECT(found.segment.x, point_x + side * normal.x - origin.x, lit);
     found.segment.y = SELECT(found.segment.y, point_y + side * normal.y - origin.y, lit);
     found.segment.z = SELECT(found.segment.z, point_z + side * normal.z - origin.z, lit);

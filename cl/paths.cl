@@ -13,8 +13,8 @@
  * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
  * them; there is then nothing for add_lit.
  *
- * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the world's origin,
- * 4 offset of ray origins (negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
+ * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the scene's origin,
+ * 4 offset of ray origins by its spread (surface.cl; negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
  * HAS_SPECULAR reflectance (3) and roughness, with HAS_EMISSION emission (3), with HAS_NORMALS the corners'
  * normals (9). Both sides are alike.
  *
@@ -217,7 +217,10 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   /* For the last of them a ray that finds light is worth while only if there is a lobe. */
   const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
-  ray.origin = sum_of(position, geometric_normal, fabs(gather(triangles, at + 4)));
+  /* As surface_offset. */
+  const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
+  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + 4)));
+  ray.origin = sum_of(position, geometric_normal, offset);
   /* The path's sample: of which point, and which of its samples. */
   /* Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
   const bits slot = TO_BITS((TO_REAL(ray.path) + 0.5f) * inverse_stride);

@@ -99,10 +99,10 @@ class GridCube:
         lower = 0.5 * (bounds[0] + bounds[1]) - 0.5 * side
         return cls((float(lower[0]), float(lower[1]), float(lower[2])), side)
 
-    @property
-    def as_arguments(self) -> tuple[float, float, float, float]:
-        """As encode.cl takes it: the lower corner, and one over the side."""
-        return *self.lower, 1.0 / self.side
+    def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
+        """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
+        x, y, z = np.asarray(self.lower) - origin
+        return float(x), float(y), float(z), 1.0 / self.side
 
 
 class Encoder:
@@ -136,7 +136,7 @@ class Encoder:
             self.count,
             self.stride,
             points.total,
-            *cube.as_arguments,
+            *cube.about(points.origin),
             order,
             points.surface,
             self._unit,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
-from ncv_cl import scene_geometry
+from ncv_cl import scene_geometry, scene_place
 from ncv_cl.scene_data import Camera, Material, QuadLight, Scene
 from ncv_cl.scene_geometry import SMALLEST_ROUGHNESS, Mesh
 from ncv_cl.scene_table import SceneError, Table
@@ -33,8 +34,6 @@ _SCENE_KEYS = (
     "meshes",
     "lights",
 )
-# The float32 grid gets this much coarser, relative to the scene, before it is worth a warning.
-_FAR_FROM_ORIGIN = 1e4
 # For mesh files without materials, such as STL.
 _FALLBACK_ALBEDO = 0.5
 
@@ -60,8 +59,8 @@ def load_scene(path: str | Path) -> Scene:
     Warns
     -----
     UserWarning
-        Where triangles without area were dropped, a mesh has no material or the scene lies so far
-        from the origin that single precision blurs it; also kept in `Scene.warnings`.
+        Where triangles without area were dropped, a mesh has no material or single precision
+        cannot resolve what the camera sees; also kept in `Scene.warnings`.
     """
     path = Path(path)
     root = Table(path, "", _read_toml(path), _SCENE_KEYS)
@@ -82,10 +81,7 @@ class _Assembly:
     def __init__(self, materials: list[Material]) -> None:
         self.materials = materials
         self._material_index = {material.name: i for i, material in enumerate(materials)}
-        self._meshes: list[Mesh] = []
-        self._triangle_material: list[NDArray[np.int32]] = []
-        self._triangle_light: list[NDArray[np.int32]] = []
-        self._n_vertices = 0
+        self._parts: list[tuple[Table, str, Mesh, int, int]] = []
         self.warnings: list[str] = []
 
     def named_material(self, table: Table) -> int:
@@ -103,7 +99,10 @@ class _Assembly:
         self.warnings.append(str(table.error(key, message)))
 
     def add(self, table: Table, key: str, mesh: Mesh, material: int, light: int = -1) -> None:
-        """Append a mesh that `table` describes, without its degenerate triangles."""
+        """Append a mesh that `table` describes."""
+        self._parts.append((table, key, mesh, material, light))
+
+    def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
         n_triangles = len(mesh.triangles)
         try:
             mesh, dropped = scene_geometry.drop_degenerate(mesh)
@@ -114,42 +113,63 @@ class _Assembly:
         if dropped:
             message = f"dropped {dropped} degenerate of {n_triangles} triangles (they have no area)"
             self.warn(table, key, message)
-        self._meshes.append(Mesh(mesh.vertices, mesh.normals, mesh.triangles + self._n_vertices))
-        self._n_vertices += len(mesh.vertices)
-        count = len(mesh.triangles)
-        self._triangle_material.append(np.full(count, material, dtype=np.int32))
-        self._triangle_light.append(np.full(count, light, dtype=np.int32))
+        return mesh
+
+    def _placed(self, camera: Camera) -> tuple[NDArray[np.float64], list[Mesh]]:
+        """The scene's origin, and the meshes about it, in steps of single precision."""
+        surfaces = [mesh for *_, mesh, _, light in self._parts if light < 0]
+        meshes = surfaces or [mesh for *_, mesh, _, _ in self._parts]
+        corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+        origin = scene_place.scene_origin(corners, camera)
+        placed = []
+        camera = scene_place.moved(camera, origin)
+        for table, key, mesh, _, _ in self._parts:
+            if key.startswith("file") and scene_place.is_coarse(mesh):
+                self.warn(
+                    table,
+                    key,
+                    "its coordinates are in single precision and so large that they are coarse; "
+                    "export it about its own origin and move it by translate",
+                )
+            mesh = replace(mesh, vertices=mesh.vertices - origin)
+            placed.append(self._without_degenerate(table, key, scene_place.cut_huge(mesh, camera)))
+        return origin, placed
 
     def scene(self, name: str, path: Path, camera: Camera, lights: list[QuadLight]) -> Scene:
-        if not self._meshes:
+        if not self._parts:
             raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
-        vertices = np.concatenate([mesh.vertices for mesh in self._meshes]).astype(np.float32)
-        # float64: the extent of a scene far from the origin must not be rounded itself.
-        extent = np.ptp(vertices.astype(np.float64), axis=0).max()
-        if np.abs(vertices).max() > _FAR_FROM_ORIGIN * extent:
+        origin, meshes = self._placed(camera)
+        camera = scene_place.moved(camera, origin)
+        moved = [replace(light, corner=light.corner - origin).single() for light in lights]
+        vertices = np.concatenate([mesh.vertices for mesh in meshes])
+        pixels = scene_place.unresolved_steps(vertices, origin, camera)
+        if pixels:
             self.warnings.append(
-                f"{path}: the scene lies more than {_FAR_FROM_ORIGIN:g} times its size from the "
-                "origin, where single precision is coarse; move it closer"
+                f"{path}: single precision cannot resolve the scene: what it rounds makes {pixels:.2g} "
+                f"pixels of a picture of {scene_place.PIXELS} rows; shadows may be missing or wrong. "
+                "Move the camera closer and widen its field of view, or leave out what is far away"
             )
-        normals = np.concatenate([mesh.normals for mesh in self._meshes]).astype(np.float32)
-        triangles = np.concatenate([mesh.triangles for mesh in self._meshes]).astype(np.uint32)
-        triangle_material = np.concatenate(self._triangle_material)
-        triangle_light = np.concatenate(self._triangle_light)
-        for array in (vertices, normals, triangles, triangle_material, triangle_light):
-            array.setflags(write=False)
-        return Scene(
+        firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+        triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
+        counts = [len(mesh.triangles) for mesh in meshes]
+        scene = Scene(
             name=name,
             path=path,
             camera=camera,
             materials=tuple(self.materials),
-            lights=tuple(lights),
-            vertices=vertices,
-            vertex_normals=normals,
-            triangles=triangles,
-            triangle_material=triangle_material,
-            triangle_light=triangle_light,
+            lights=tuple(moved),
+            vertices=vertices.astype(np.float32),
+            vertex_normals=np.concatenate([mesh.normals for mesh in meshes]).astype(np.float32),
+            triangles=np.concatenate(triangles).astype(np.uint32),
+            triangle_material=np.repeat([part[3] for part in self._parts], counts).astype(np.int32),
+            triangle_light=np.repeat([part[4] for part in self._parts], counts).astype(np.int32),
             warnings=tuple(self.warnings),
+            origin=origin,
         )
+        for array in vars(scene).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+        return scene
 
 
 def _read_toml(path: Path) -> dict[str, object]:
@@ -335,7 +355,6 @@ def _add_lights(root: Table, assembly: _Assembly) -> list[QuadLight]:
             raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
         mesh = scene_geometry.quad_mesh(corner, edge1, edge2)
         assembly.add(table, "", mesh, material, light=index)
-        single = (vector.astype(np.float32) for vector in (corner, edge1, edge2))
         two_sided = bool(table.flag("two_sided", False))
-        lights.append(QuadLight(*single, table.colour("radiance"), two_sided))
+        lights.append(QuadLight(corner, edge1, edge2, table.colour("radiance"), two_sided))
     return lights

@@ -19,7 +19,8 @@ KERNELS = sorted(kernel_folder().glob("*.cl"))
 # Data flows downwards: a module imports only from lines above its own.
 ORDER = (
     "arrangement device image scene_data scene_geometry scene_table",
-    "program scene",
+    "program scene_place",
+    "scene",
     "sampler trace",
     "points",
     "integrands",

@@ -66,7 +66,8 @@ def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> 
 
 
 def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
-    corners = np.abs(light.corner) + np.abs(light.edge1) + np.abs(light.edge2)
+    edges = np.abs(np.asarray([light.edge1, light.edge2], np.float64)).sum(axis=0)
+    centre = np.abs(light.corner + 0.5 * (np.asarray(light.edge1, np.float64) + light.edge2))
     # A light without a strip is never sampled; it still has a record, of finite numbers.
     amount = np.asarray(light.radiance, float) * (light.area / width if width else 0.0)
     record = [
@@ -78,7 +79,7 @@ def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
         first,
         width,
         float(light.two_sided),
-        RELATIVE_OFFSET * corners.max(),
+        RELATIVE_OFFSET * float(np.abs(light.normal) @ (centre + edges)),
         width / light.area,
     ]
     return np.array(record, np.float32)
