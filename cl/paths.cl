@@ -81,10 +81,6 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   append_rays(&ray, alive, 0, plane, wave);
 }
 
-triple gather_triple(global const float *restrict record, const whole at) {
-  return (triple){gather(record, at), gather(record, at + 1), gather(record, at + 2)};
-}
-
 triple sum_of(const triple a, const triple b, const real factor) {
   return (triple){FMA(factor, b.x, a.x), FMA(factor, b.y, a.y), FMA(factor, b.z, a.z)};
 }
@@ -155,14 +151,15 @@ triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y 
 
 /* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
  * the ray's `density` is. */
-triple light_met(global const float *restrict lights, const whole light, const triple outgoing, const real distance,
-                 const real density) {
+triple light_met(global const float *restrict lights, const whole light, const triple origin, const triple direction,
+                 const real distance, const real density) {
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = dot_triple(gather_triple(lights, record + 9), outgoing);
+  const real emitted = -dot_triple(gather_triple(lights, record + 9), direction);
   const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
-  const real shared = gather(lights, record + 19);
-  const real other = distance * distance * shared / max(facing, (real)1e-20f);
-  const real weight = SELECT((real)0.0f, shared * density / (density + other), (facing > 0.0f) && (density > 0.0f));
+  const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
+  const real other = light_density(lights, record, origin, segment, max(facing, (real)1e-20f));
+  const real share = density / (density + other) * gather(lights, record + 16);
+  const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
   const triple amount = gather_triple(lights, record + 12);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
@@ -197,7 +194,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
-    const triple found = light_met(lights, light, outgoing, distance, density);
+    const triple found = light_met(lights, light, origin, direction, distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);

@@ -31,6 +31,10 @@ typedef struct {
 
 triple to_triple(const float3 v) { return (triple){(real)v.x, (real)v.y, (real)v.z}; }
 
+triple gather_triple(global const float *restrict array, const whole at) {
+  return (triple){gather(array, at), gather(array, at + 1), gather(array, at + 2)};
+}
+
 real dot_triple(const triple a, const triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
 ShadingPoint load_shading_point(global const float *restrict surface, const uint total_points,

@@ -12,6 +12,7 @@ from reference import (
     grey,
     light_at,
     light_corners,
+    light_samples,
     mesh_scene,
     polygon_irradiance,
     quad,
@@ -79,11 +80,11 @@ def test_every_sample_matches_float64(device, lights, material):
         # Light k owns first_k <= u < first_(k + 1).
         which = np.searchsorted(records[:, 15], arrays["u"][point], side="right") - 1
         along = (u - records[which, 15].astype(float)) / records[which, 16].astype(float)
-        corner, edge1, edge2, normal = (
-            np.array([getattr(one, name) for one in scene.lights], float)[which]
-            for name in ("corner", "edge1", "edge2", "normal")
-        )
-        end = corner + along[:, None] * edge1 + v[:, None] * edge2
+        normal = np.array([one.normal for one in scene.lights], float)[which]
+        end, stands_for = np.empty((samples, 3)), np.empty(samples)
+        for number, light in enumerate(scene.lights):
+            own = which == number
+            end[own], stands_for[own] = light_samples(light, rows["position"][point], along[own], v[own])
         towards = end - rows["position"][point]
         distance = np.linalg.norm(towards, axis=1)
         towards /= distance[:, None]
@@ -94,9 +95,9 @@ def test_every_sample_matches_float64(device, lights, material):
             rows["normal"][point], rows["outgoing"][point], towards, material.albedo,
             material.reflectance, material.roughness,
         )  # fmt: skip
-        power = np.array([one.radiance * one.area for one in scene.lights], float) / widths[:, None]
-        geometry = np.maximum(cosine, 0) * facing / distance**2
-        expected = f_r * geometry[:, None] * power[which]
+        radiance = np.array([one.radiance for one in scene.lights], float) / widths[:, None]
+        geometry = np.maximum(cosine, 0) * stands_for * (facing > 0)
+        expected = f_r * geometry[:, None] * radiance[which]
         np.testing.assert_allclose(arrays["value"][:, point].T, expected, rtol=2e-4, atol=1e-6)
 
         slot = arrays["slot"][point]
@@ -174,8 +175,13 @@ def test_what_lies_below_the_horizon_gives_nothing(device):
     sunk = light_at([-1, -1, -3], [2, 0, 0], [0, 2, 0], 5)
     points, source, rays = sampling(device, floor_scene((sunk,)), DirectLight(), (5, 3), 256)
     arrays = batch_arrays(source.draw(range(points.active), range(256), 0), 3)
-    risen = arrays["v"] > 0.5
-    clear = np.abs(arrays["v"] - 0.5) > 1e-5
+    end = np.array([
+        light_samples(sunk, position, u.astype(float), v.astype(float))[0][:, 1]
+        for position, u, v in zip(
+            points.rows("position").T.astype(float), arrays["u"], arrays["v"], strict=True
+        )
+    ])  # fmt: skip
+    risen, clear = end > 0, np.abs(end) > 1e-5
     np.testing.assert_array_equal((arrays["value"] != 0).all(axis=0)[clear], risen[clear])
     assert rays.answers.all() and 0.4 < len(rays.answers) / clear.size < 0.6
 

@@ -13,8 +13,8 @@ from .lights import emitted_by_lights, light_defines, light_records
 class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
 
-    (u, v) is a point on a light. Several lights share the unit square as strips in u, see
-    `lights.strip_widths`, so the integral stays two-dimensional.
+    (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
+    as strips in u, see `lights.strip_widths`, so the integral stays two-dimensional.
     """
 
     name = "direct"
