@@ -11,6 +11,9 @@ from .device import Device, HostArray
 from .points import ShadingPoints, surface_defines
 from .program import Program, build
 
+# Shading points that extend over less than this part of the scene have a grid of their own; the part of
+# them that may lie outside it, to each side.
+SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
 # Components that each input has before its encoding, in feature order.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
@@ -98,6 +101,21 @@ class GridCube:
         side = float(np.max(bounds[1] - bounds[0])) or 1.0
         lower = 0.5 * (bounds[0] + bounds[1]) - 0.5 * side
         return cls((float(lower[0]), float(lower[1]), float(lower[2])), side)
+
+    @classmethod
+    def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
+        """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
+
+        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
+        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        """
+        whole = cls.around(bounds)
+        if not points.active:
+            return whole
+        positions = points.rows("position")[:, : points.active].astype(np.float64)
+        most = np.quantile(positions, [OUTLIERS, 1 - OUTLIERS], axis=1) + points.origin
+        seen = cls.around(most)
+        return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
 
     def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
         """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""

@@ -362,7 +362,7 @@ class _Rendering:
                 self.source.record_guide()
             learned = learn(
                 device,
-                GridCube.around(self.scene.world_bounds),
+                GridCube.of_points(self.points, self.scene.world_bounds),
                 self.source,
                 settings,
                 inputs,

@@ -357,3 +357,22 @@ def test_networks_know_the_world_and_not_the_scenes_origin(one_device, tmp_path)
     assert here.any() and np.mean(np.abs(there - here)) < 1e-3 * np.mean(np.abs(here))
     cube = GridCube.around(scene.world_bounds)
     np.testing.assert_allclose(cube.about(scene.origin)[:3], cube.lower - scene.origin)
+
+
+def test_a_networks_grid_lies_around_what_is_seen(one_device, scenes, tmp_path):
+    """On a ground to the horizon all that the camera sees would share one cell."""
+    world = World(1e4, TURN, place=MAP)
+    scene = world.scene(tmp_path)
+    points = find_points(one_device, scene, Tracer(scene, 1), *SIZE)
+    cube = GridCube.of_points(points, scene.world_bounds)
+    assert 1 < cube.side < 10
+    assert np.abs(np.array(cube.lower) + cube.side / 2 - MAP).max() < 3
+    position = points.rows("position")[:, : points.active]
+    inside = (position - np.array(cube.about(points.origin)[:3])[:, None]) / cube.side
+    assert np.mean(((inside >= 0) & (inside <= 1)).all(axis=0)) > 0.8
+    # Scenes that are seen for a good part have the grid around them all.
+    room = load_scene(scenes / "interior.toml")
+    points = find_points(one_device, room, Tracer(room, 1), *SIZE)
+    assert GridCube.of_points(points, room.world_bounds) == GridCube.around(room.world_bounds)
+    nothing = replace(points, active=0)
+    assert GridCube.of_points(nothing, room.world_bounds) == GridCube.around(room.world_bounds)
