@@ -1,9 +1,10 @@
 /* Points on the area lights, VEC at a time, as seen from the surface.
  *
- * Several lights share the one unit square: light k owns the strip first_k <= u < first_k + width_k, and u is
+ * Several lights share the one unit square: light k owns a strip first <= u < first + width, and u is
  * stretched over the strip. So what is integrated over all lights stays two-dimensional and one network serves all
  * of them. Widths are made by lights.py, multiples of a power of two that sum to 1: exact, as all this is with them.
- * Lights without power have no strip.
+ * Lights without power have no strip. Of a few lights, those that cannot light a point have none there either: for
+ * every choice of lights there is a row of strips.
  *
 
  * Where on its light a sample lies. Seen from a position at distance z from the light's plane, a line along edge2 is
@@ -16,10 +17,11 @@
  * is then as good and costs less.
  *
  * `lights`: LIGHT_COUNT records of LIGHT_FLOATS floats:
- *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance / width, 15 first, 16 width,
- *   17 two-sided (0 or 1), 18 offset of ray ends off the light's plane, for rays from the scene's origin, 19 area,
+ *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance, 15 first and 16 width of the
+ *   strip where all lights have one, 17 two-sided (0 or 1), 18 offset of ray ends off the light's plane, for rays from the scene's origin, 19 area,
  *   20 unit vector along edge2, 23 unit vector across it in the plane, 26 length of edge2, 27 edge1 across, 28 edge1
  *   along edge2 over that, 29 squared distance of the middle from which on the light is small, 30 two unused.
+ *   Then STRIP_ROWS rows, first and width of each light's strip.
  *
  * Work-group contract: none; pure functions of private values.
  */
@@ -122,6 +124,37 @@ real sample_view(const LightView *view, const real u, const real v, real *x, rea
   return angle * line.range;
 }
 
+/* The strips of a row: those of all lights, the last, and those of the lights that may light a point. */
+global const float *all_strips(global const float *restrict lights) {
+  return lights + LIGHT_COUNT * (LIGHT_FLOATS + (STRIP_ROWS - 1) * 2);
+}
+
+global const float *strips_at(global const float *restrict lights, const ShadingPoint *p) {
+#if STRIP_ROWS > 1
+  uint row = 0;
+  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+    global const float *restrict record = lights + light * LIGHT_FLOATS;
+    const float3 corner = vload3(0, record) - p->position;
+    const float3 edge1 = vload3(1, record);
+    const float3 edge2 = vload3(2, record);
+    bool above = false, above_triangle = false;
+    for (uint k = 0; k < 4; ++k) {
+      const float3 to = corner + (float)(k & 1u) * edge1 + (float)(k >> 1) * edge2;
+      /* A light that rounding takes for a hidden one would be missing. */
+      const float rounding = -1e-5f * largest(to);
+      above = above || dot(to, p->normal) > rounding;
+      above_triangle = above_triangle || dot(to, p->geometric_normal) > rounding;
+    }
+    const bool shines = record[17] > 0.0f || dot(corner, vload3(3, record)) < 1e-5f * largest(corner);
+    row |= (above && above_triangle && shines ? 1u : 0u) << light;
+  }
+  return lights + LIGHT_COUNT * (LIGHT_FLOATS + row * 2);
+#else
+  (void)p;
+  return all_strips(lights);
+#endif
+}
+
 /* The light of `record` about a position, where `corner` is its corner. */
 LightView view_of(const triple corner, const triple normal, const triple across, const triple along, const real width,
                   const real slope, const real length) {
@@ -129,8 +162,8 @@ LightView view_of(const triple corner, const triple normal, const triple across,
                      slope, length};
 }
 
-LightSample sample_lights(global const float *restrict lights, const triple position, const triple origin,
-                          const real u, const real v) {
+LightSample sample_lights(global const float *restrict lights, global const float *restrict strips,
+                          const triple position, const triple origin, const real u, const real v) {
   LightSample found;
   found.lit = (whole)0;
   found.density = (real)0.0f;
@@ -143,12 +176,13 @@ LightSample sample_lights(global const float *restrict lights, const triple posi
     const float3 edge1 = vload3(1, record);
     const float3 edge2 = vload3(2, record);
     const float3 normal = vload3(3, record);
-    const float first = record[15];
-    const real along = (u - first) / record[16];
+    const float first = strips[2 * light];
+    const float width = strips[2 * light + 1];
+    const real along = (u - first) / width;
 #if LIGHT_COUNT == 1
     const whole here = (whole)(u >= 0.0f);
 #else
-    const whole here = (u >= first) && (u < first + record[16]);
+    const whole here = (u >= first) && (u < first + width);
     if (!ANY(here)) continue;
 #endif
     const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
@@ -182,8 +216,8 @@ LightSample sample_lights(global const float *restrict lights, const triple posi
     found.towards.z = SELECT(found.towards.z, to.z * inverse, lit);
     const real stands_for = SELECT(facing * inverse * inverse * record[19], solid_angle, large);
     for (int channel = 0; channel < 3; ++channel)
-      found.radiance[channel] = SELECT(found.radiance[channel], stands_for * record[12 + channel], lit);
-    found.density = SELECT(found.density, record[16] / max(stands_for, (real)1e-30f), lit);
+      found.radiance[channel] = SELECT(found.radiance[channel], stands_for * (record[12 + channel] / width), lit);
+    found.density = SELECT(found.density, width / max(stands_for, (real)1e-30f), lit);
     /* From the moved origin to a point off the light's plane, on the side the ray comes from. */
     /* As light_offset. */
     const real along_normal =

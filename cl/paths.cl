@@ -158,7 +158,7 @@ triple light_met(global const float *restrict lights, const whole light, const t
   const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real other = light_density(lights, record, origin, segment, max(facing, (real)1e-20f));
-  const real share = density / (density + other) * gather(lights, record + 16);
+  const real share = density / (density + other);
   const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
   const triple amount = gather_triple(lights, record + 12);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
@@ -226,7 +226,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   real coordinates[5];
   sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
 
-  const LightSample found = sample_lights(lights, position, ray.origin, coordinates[0], coordinates[1]);
+  const LightSample found =
+      sample_lights(lights, all_strips(lights), position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);

@@ -35,8 +35,9 @@ kernel void samples(const uint count, global const float *lights, global const f
   if (first >= count) return;
   const triple position = {LOAD(numbers + first), LOAD(numbers + count + first),
                            LOAD(numbers + 2 * count + first)};
-  const LightSample found = sample_lights(lights, position, position, LOAD(numbers + 3 * count + first),
-                                          LOAD(numbers + 4 * count + first));
+  const real u = LOAD(numbers + 3 * count + first);
+  const real v = LOAD(numbers + 4 * count + first);
+  const LightSample found = sample_lights(lights, all_strips(lights), position, position, u, v);
   const triple segment = found.segment;
   const real facing = fabs(dot_triple(found.towards, to_triple(vload3(3, lights))));
   const real density = light_density(lights, (whole)0, position, segment, facing);
