@@ -242,9 +242,8 @@ def test_scale_alone_makes_no_triangle_degenerate(tmp_path: Path, scale: float) 
     export(tmp_path, "t.stl")
     scene = load_mesh(tmp_path, "t.stl", f'material = "grey"\nscale = {scale}')
     # Huge triangles are cut, and none of their parts is lost.
-    corners = scene.vertices[scene.triangles].astype(float)
-    areas = np.linalg.norm(np.cross(*(corners[:, k] - corners[:, 0] for k in (1, 2))), axis=1) / 2
-    assert np.isclose(areas.sum(), (1.5 + np.sqrt(0.75)) * scale**2) and scene.warnings == ()
+    area = trimesh.Trimesh(scene.vertices / scale, scene.triangles, process=False).area
+    assert np.isclose(area, 1.5 + np.sqrt(0.75)) and scene.warnings == ()
     assert np.allclose(scene.bounds[1], scale)
 
 
@@ -253,11 +252,6 @@ def test_a_mesh_of_coarse_coordinates_is_warned_about(tmp_path: Path) -> None:
     far.export(tmp_path / "far.stl")
     with pytest.warns(UserWarning, match=r"far\.stl: its coordinates are in single precision"):
         load_mesh(tmp_path, "far.stl")
-    export(tmp_path, "near.stl")
-    assert (
-        load_mesh(tmp_path, "near.stl", 'material = "grey"\ntranslate = [8388608.1, 0, 0]').warnings
-        == ()
-    )
 
 
 @pytest.mark.parametrize(
