@@ -208,7 +208,7 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
     source = case.source(tracer, "independent", samples)
     points = source.points
     inputs = varying_inputs(points, integrand.inputs)
-    cube = GridCube.around(case.scene.bounds)
+    cube = GridCube.around(case.scene.world_bounds)
     learned = learn(device, cube, source, settings, inputs, lambda _: None, Stopwatch(), lambda: False)
     if learned.network is None:
         raise SystemExit(f"{case.scene.name}: training diverged")

@@ -66,7 +66,7 @@ class TrainingCase:
         points, source = self.points, self.source
         description = preset.description(self.integrand, self.inputs)
         factor = source.unshadowed_means() if description.demodulated else None
-        start = Network.random(description, GridCube.around(self.scene.bounds), seed)
+        start = Network.random(description, GridCube.around(self.scene.world_bounds), seed)
         count = max(1, round(points.active * fraction))
         chosen = np.linspace(0, points.active, count, endpoint=False).astype(np.uint32)
         trainer = Trainer(self.device, start, points, preset.settings, chosen, samples, seed, factor)

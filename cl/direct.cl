@@ -9,7 +9,7 @@ void evaluate_integrand(const ShadingPoint *p, global const float *restrict inte
                         const real v, real value[CHANNELS], real direction[3], real *distance) {
   const Scatterer s = scatterer_of(p);
   const LightSample light =
-      sample_lights(integrand_data, to_triple(p->position), to_triple(ray_origin(p)), u, v);
+      sample_lights(integrand_data, strips_at(integrand_data, p), to_triple(p->position), to_triple(ray_origin(p)), u, v);
   const real cosine = dot_triple(s.normal, light.towards);
   const whole lit =
       light.lit && (cosine > 0.0f) && (dot_triple(to_triple(p->geometric_normal), light.towards) > 0.0f);

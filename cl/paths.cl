@@ -13,8 +13,8 @@
  * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
  * them; there is then nothing for add_lit.
  *
- * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the world's origin,
- * 4 offset of ray origins (negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
+ * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the scene's origin,
+ * 4 offset of ray origins by its spread (surface.cl; negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
  * HAS_SPECULAR reflectance (3) and roughness, with HAS_EMISSION emission (3), with HAS_NORMALS the corners'
  * normals (9). Both sides are alike.
  *
@@ -79,10 +79,6 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   const uint last_of_use = HAS_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, 0, plane, wave);
-}
-
-triple gather_triple(global const float *restrict record, const whole at) {
-  return (triple){gather(record, at), gather(record, at + 1), gather(record, at + 2)};
 }
 
 triple sum_of(const triple a, const triple b, const real factor) {
@@ -155,14 +151,15 @@ triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y 
 
 /* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
  * the ray's `density` is. */
-triple light_met(global const float *restrict lights, const whole light, const triple outgoing, const real distance,
-                 const real density) {
+triple light_met(global const float *restrict lights, const whole light, const triple origin, const triple direction,
+                 const real distance, const real density) {
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = dot_triple(gather_triple(lights, record + 9), outgoing);
+  const real emitted = -dot_triple(gather_triple(lights, record + 9), direction);
   const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
-  const real shared = gather(lights, record + 19);
-  const real other = distance * distance * shared / max(facing, (real)1e-20f);
-  const real weight = SELECT((real)0.0f, shared * density / (density + other), (facing > 0.0f) && (density > 0.0f));
+  const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
+  const real other = light_density(lights, record, origin, segment, max(facing, (real)1e-20f));
+  const real share = density / (density + other);
+  const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
   const triple amount = gather_triple(lights, record + 12);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
@@ -197,7 +194,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
-    const triple found = light_met(lights, light, outgoing, distance, density);
+    const triple found = light_met(lights, light, origin, direction, distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);
@@ -217,7 +214,10 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   /* For the last of them a ray that finds light is worth while only if there is a lobe. */
   const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
-  ray.origin = sum_of(position, geometric_normal, fabs(gather(triangles, at + 4)));
+  /* As surface_offset. */
+  const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
+  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + 4)));
+  ray.origin = sum_of(position, geometric_normal, offset);
   /* The path's sample: of which point, and which of its samples. */
   /* Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
   const bits slot = TO_BITS((TO_REAL(ray.path) + 0.5f) * inverse_stride);
@@ -226,7 +226,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   real coordinates[5];
   sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
 
-  const LightSample found = sample_lights(lights, position, ray.origin, coordinates[0], coordinates[1]);
+  const LightSample found =
+      sample_lights(lights, all_strips(lights), position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);

@@ -6,7 +6,7 @@
  *
  * shading_points: one work-item a hit; barycentric interpolation instead of origin + t * direction, so
  * that the position's error is a few ulps of the triangle's coordinates and not of the distance.
- * Writes the rows of surface.cl.
+ * Writes the rows of surface.cl. Joined after surface.cl.
  *
  * camera: CAMERA_FLOATS floats: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2).
  *
@@ -33,8 +33,6 @@ kernel void camera_rays(global const float *restrict camera, const uint first_ce
   vstore3(load3(camera, 0), ray, origins);
   vstore3(camera_direction(camera, first_cell + ray, columns, rows), ray, directions);
 }
-
-float largest(const float3 x) { return fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z))); }
 
 void store_row3(global float *restrict surface, const uint total_points, const uint row,
                 const uint point, const float3 value) {
@@ -83,14 +81,15 @@ kernel void shading_points(global const float *restrict camera, const uint colum
   normal = length2 > 0.0f ? normal * rsqrt(length2) : geometric_normal;
   if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
 
-  const float scale = fmax(largest(vertex0), fmax(largest(vertex1), largest(vertex2)));
+  const float3 extent = fmax(vertex0, fmax(vertex1, vertex2)) - fmin(vertex0, fmin(vertex1, vertex2));
+  const float3 position = b0 * vertex0 + b1 * vertex1 + b2 * vertex2;
   const ulong material = (ulong)triangle_material[triangle] * MATERIAL_FLOATS;
   const ulong stride = total_points;
-  store_row3(surface, total_points, ROW_POSITION, point, b0 * vertex0 + b1 * vertex1 + b2 * vertex2);
+  store_row3(surface, total_points, ROW_POSITION, point, position);
   store_row3(surface, total_points, ROW_NORMAL, point, normal);
   store_row3(surface, total_points, ROW_GEOMETRIC_NORMAL, point, geometric_normal);
   store_row3(surface, total_points, ROW_OUTGOING, point, outgoing);
-  surface[ROW_OFFSET * stride + point] = RELATIVE_OFFSET * scale;
+  surface[ROW_OFFSET * stride + point] = surface_offset(position, triangle_spread(extent, geometric_normal));
   for (uint i = 0; i < 3; ++i) {
     surface[(ROW_ALBEDO + i) * stride + point] = materials[material + i];
     surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + 3 + i];

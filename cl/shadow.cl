@@ -8,7 +8,7 @@
  * it is met between o and o + d if these lie on two sides of its plane. An edge's numbers are those of its
  * reverse with their signs turned, bit for bit, so no ray slips through an edge between neighbours.
  *
- * `casters`: the scene's centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats: 0 unit
+ * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats: 0 unit
  * normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken about the centre, so
  * that nothing is lost to a scene's place in the world.
  *

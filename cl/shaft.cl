@@ -38,7 +38,7 @@ void shaft_planes(const ShadingPoint *p, global const float *restrict light, con
   const float3 edge1 = vload3(1, light);
   const float3 edge2 = vload3(2, light);
   const float3 normal = vload3(3, light);
-  const float offset = light[18];
+  const float offset = light_offset(light, p->position);
   const float emitted = dot(normal, origin - vload3(0, light));
   const float3 ends = emitted > 0.0f ? normal : -normal;
   float3 corner[4];

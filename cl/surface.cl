@@ -7,7 +7,7 @@
  */
 
 typedef struct {
-  float3 position;         /* on the surface, world space */
+  float3 position;         /* on the surface, about the scene's origin */
   float3 normal;           /* shading normal, unit, on the viewer's side */
   float3 geometric_normal; /* of the triangle, unit, on the viewer's side */
   float3 outgoing;         /* unit, towards the viewer */
@@ -31,6 +31,10 @@ typedef struct {
 
 triple to_triple(const float3 v) { return (triple){(real)v.x, (real)v.y, (real)v.z}; }
 
+triple gather_triple(global const float *restrict array, const whole at) {
+  return (triple){gather(array, at), gather(array, at + 1), gather(array, at + 2)};
+}
+
 real dot_triple(const triple a, const triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
 ShadingPoint load_shading_point(global const float *restrict surface, const uint total_points,
@@ -46,6 +50,20 @@ ShadingPoint load_shading_point(global const float *restrict surface, const uint
   p.reflectance = load_row3(surface, total_points, ROW_REFLECTANCE, point);
   p.roughness = surface[ROW_ROUGHNESS * stride + point];
   return p;
+}
+
+float largest(const float3 x) { return fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z))); }
+
+/* How far rays start off a surface: some rounding errors of the coordinates that enter where they start. These are the
+ * position's own and, along the surface's normal, the corners' about it, as a ray tracer subtracts its ray's origin
+ * from them: `spread` is that distance, at most, of a triangle whose box is `extent` large. So what a huge triangle's
+ * corners lose counts only where it is not along the triangle. */
+float triangle_spread(const float3 extent, const float3 normal) {
+  return dot(fabs(normal), extent) + LEAST_SPREAD * largest(extent);
+}
+
+float surface_offset(const float3 position, const float spread) {
+  return RELATIVE_OFFSET * (largest(position) + spread);
 }
 
 /* Where rays that leave on the geometric normal's side start. */

@@ -12,6 +12,9 @@ from .files import some_of, whole_number
 from .points import ShadingPoints, surface_defines
 from .program import Program, build
 
+# Shading points that extend over less than this part of the scene have a grid of their own; the part of
+# them that may lie outside it, to each side.
+SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
 # Components that each input has before its encoding, in feature order.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 # What the kernels can hold: vectors of so many features, indices of 32 bits.
@@ -122,10 +125,25 @@ class GridCube:
         lower = 0.5 * (bounds[0] + bounds[1]) - 0.5 * side
         return cls((float(lower[0]), float(lower[1]), float(lower[2])), side)
 
-    @property
-    def as_arguments(self) -> tuple[float, float, float, float]:
-        """As encode.cl takes it: the lower corner, and one over the side."""
-        return *self.lower, 1.0 / self.side
+    @classmethod
+    def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
+        """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
+
+        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
+        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        """
+        whole = cls.around(bounds)
+        if not points.active:
+            return whole
+        positions = points.rows("position")[:, : points.active].astype(np.float64)
+        most = np.quantile(positions, [OUTLIERS, 1 - OUTLIERS], axis=1) + points.origin
+        seen = cls.around(most)
+        return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
+
+    def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
+        """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
+        x, y, z = np.asarray(self.lower) - origin
+        return float(x), float(y), float(z), 1.0 / self.side
 
 
 class Encoder:
@@ -159,7 +177,7 @@ class Encoder:
             self.count,
             self.stride,
             points.total,
-            *cube.as_arguments,
+            *cube.about(points.origin),
             order,
             points.surface,
             self._unit,

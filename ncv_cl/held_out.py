@@ -80,4 +80,5 @@ def _only(points: ShadingPoints, chosen: np.ndarray) -> ShadingPoints:
     surface = HostArray(points.surface.device, (ROW_COUNT, len(chosen)), np.float32)
     with points.surface.mapped() as old, surface.mapped(write=True) as new:
         np.take(old, chosen, axis=1, out=new)
-    return ShadingPoints(surface, points.cell[chosen], points.light[chosen], len(chosen), 0)
+    cell, light = points.cell[chosen], points.light[chosen]
+    return ShadingPoints(surface, cell, light, len(chosen), 0, origin=points.origin)

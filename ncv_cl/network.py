@@ -348,7 +348,7 @@ class FoldedNetwork:
             -(-points.active // width),
             points.active,
             points.total,
-            *network.cube.as_arguments,
+            *network.cube.about(points.origin),
             points.surface,
             HostArray.of(device, network.table),
             heads_array,

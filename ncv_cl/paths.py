@@ -10,7 +10,7 @@ import numpy as np
 from .device import Device, HostArray
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .integrands import GlobalIllumination, Integrand
-from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines
+from .points import RELATIVE_OFFSET, ShadingPoints, surface_defines, triangle_spreads
 from .program import build
 from .sampler import sampler_defines
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
@@ -340,7 +340,7 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
     scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
     normals = np.cross(scaled[:, 0], scaled[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = RELATIVE_OFFSET * np.abs(corners).max(axis=(1, 2))
+    offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
     smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
     offsets[smooth] *= -1.0
     materials = [scene.materials[index] for index in range(len(scene.materials))]

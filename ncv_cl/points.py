@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,9 +25,11 @@ _ROWS = {
 ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
 ROW_COUNT = sum(_ROWS.values())
 
-# Ray origins are moved off their surface by this multiple of the triangle's largest coordinate: 32
+# Rays start and end off surfaces by this multiple of the coordinates that enter there (surface.cl): 32
 # rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.
 RELATIVE_OFFSET = 32 * 2.0**-24
+# Part of a triangle's extent that counts whatever its normal: the offset is nowhere zero.
+LEAST_SPREAD = 2.0**-10
 MATERIAL_FLOATS = 7
 CAMERA_RAYS_PER_BATCH = 1 << 19
 
@@ -38,6 +40,7 @@ def surface_defines() -> dict[str, int | str]:
         **{f"ROW_{name}": row for name, row in ROW.items()},
         "MATERIAL_FLOATS": MATERIAL_FLOATS,
         "RELATIVE_OFFSET": f"{RELATIVE_OFFSET!r}f",
+        "LEAST_SPREAD": f"{LEAST_SPREAD!r}f",
     }
 
 
@@ -48,7 +51,7 @@ class ShadingPoints:
     Attributes
     ----------
     surface : HostArray
-        float32 (ROW_COUNT, total), rows as in surface.cl, world space.
+        float32 (ROW_COUNT, total), rows as in surface.cl, about the scene's origin.
     cell : ndarray
         uint32 (total,), sub-pixel of each point in row-major order on the supersampled grid.
     light : ndarray
@@ -61,6 +64,8 @@ class ShadingPoints:
         Points that `without_last` took out, since their integral is zero.
     material : ndarray, optional
         int32 (total,), index of the material of each point.
+    origin : ndarray
+        float64 (3,), world position of the scene's origin.
     """
 
     surface: HostArray
@@ -70,6 +75,7 @@ class ShadingPoints:
     background: int
     dark: int = 0
     material: np.ndarray | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def total(self) -> int:
@@ -121,6 +127,20 @@ def material_records(scene: Scene) -> np.ndarray:
     return np.array(rows, np.float32).reshape(-1, MATERIAL_FLOATS)
 
 
+def triangle_spreads(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Along the triangles' own normals, the extent of their boxes, as surface.cl's `spread`.
+
+    Parameters
+    ----------
+    corners : ndarray
+        (triangles, 3, 3).
+    normals : ndarray
+        (triangles, 3), unit vectors.
+    """
+    extent = np.ptp(corners, axis=1)
+    return np.sum(np.abs(normals) * extent, axis=1) + LEAST_SPREAD * extent.max(axis=1)
+
+
 def find_points(
     device: Device,
     scene: Scene,
@@ -144,7 +164,7 @@ def find_points(
     """
     columns, rows = width * supersample, height * supersample
     cells = columns * rows
-    program = build(device, ("common", "points"), surface_defines())
+    program = build(device, ("common", "surface", "points"), surface_defines())
     camera = HostArray.of(device, camera_record(scene.camera, width, height))
     hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
 
@@ -175,7 +195,10 @@ def find_points(
     )
     device.queue.finish()
     material = scene.triangle_material[hits.triangle[cell]]
-    return ShadingPoints(surface, cell, light, active, cells - len(cell), material=material)
+    background = cells - len(cell)
+    return ShadingPoints(
+        surface, cell, light, active, background, material=material, origin=scene.origin
+    )
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:

@@ -368,7 +368,7 @@ class _Rendering:
             self.source.record_guide()
         learned = learn(
             self.device,
-            GridCube.around(self.scene.bounds),
+            GridCube.of_points(self.points, self.scene.world_bounds),
             self.source,
             settings,
             inputs,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
-from ncv_cl import meshes, scene_geometry
+from ncv_cl import meshes, scene_geometry, scene_place
 from ncv_cl.scene_data import Camera, Material, QuadLight, Scene
 from ncv_cl.scene_geometry import SMALLEST_ROUGHNESS, Mesh
 from ncv_cl.scene_table import SceneError, Table
@@ -33,8 +34,6 @@ _SCENE_KEYS = (
     "meshes",
     "lights",
 )
-# The float32 grid gets this much coarser, relative to the scene, before it is worth a warning.
-_FAR_FROM_ORIGIN = 1e4
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -59,8 +58,8 @@ def load_scene(path: str | Path) -> Scene:
     -----
     UserWarning
         Where triangles without area were dropped, a mesh file has no material or something that is
-        left out or replaced, or the scene lies so far from the origin that single precision blurs
-        it; also kept in `Scene.warnings`.
+        left out or replaced, or single precision cannot resolve what the camera sees; also kept in
+        `Scene.warnings`.
     """
     path = Path(path)
     root = Table(path, "", _read_toml(path), _SCENE_KEYS)
@@ -81,10 +80,7 @@ class _Assembly:
     def __init__(self, materials: list[Material]) -> None:
         self.materials = materials
         self._material_index = {material.name: i for i, material in enumerate(materials)}
-        self._meshes: list[Mesh] = []
-        self._triangle_material: list[NDArray[np.int32]] = []
-        self._triangle_light: list[NDArray[np.int32]] = []
-        self._n_vertices = 0
+        self._parts: list[tuple[Table, str, Mesh, int, int]] = []
         # Degenerate and all triangles of what a table's key describes.
         self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
         self.warnings: list[str] = []
@@ -104,7 +100,11 @@ class _Assembly:
         self.warnings.append(str(table.error(key, message)))
 
     def add(self, table: Table, key: str, mesh: Mesh, material: int, light: int = -1) -> None:
-        """Append a mesh that `table` describes, maybe with others, without its degenerate triangles."""
+        """Append a mesh that `table` describes, maybe with others."""
+        self._parts.append((table, key, mesh, material, light))
+
+    def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
+        """The mesh without triangles of no area, which are counted for what `table` describes."""
         n_triangles = len(mesh.triangles)
         try:
             mesh, dropped = scene_geometry.drop_degenerate(mesh)
@@ -112,13 +112,28 @@ class _Assembly:
             raise table.error(key, str(error)) from error
         _, others, total = self._dropped.get((table.where, key), (table, 0, 0))
         self._dropped[table.where, key] = (table, others + dropped, total + n_triangles)
-        if dropped == n_triangles:
-            return
-        self._meshes.append(Mesh(mesh.vertices, mesh.normals, mesh.triangles + self._n_vertices))
-        self._n_vertices += len(mesh.vertices)
-        count = len(mesh.triangles)
-        self._triangle_material.append(np.full(count, material, dtype=np.int32))
-        self._triangle_light.append(np.full(count, light, dtype=np.int32))
+        return mesh
+
+    def _placed(self, camera: Camera) -> tuple[NDArray[np.float64], list[Mesh]]:
+        """The scene's origin, and the meshes about it, in steps of single precision."""
+        surfaces = [mesh for *_, mesh, _, light in self._parts if light < 0]
+        meshes = surfaces or [mesh for *_, mesh, _, _ in self._parts]
+        corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+        origin = scene_place.scene_origin(corners, camera)
+        placed = []
+        camera = scene_place.moved(camera, origin)
+        for table, key, mesh, _, _ in self._parts:
+            if key.startswith("file") and scene_place.is_coarse(mesh):
+                self.warn(
+                    table,
+                    key,
+                    "its coordinates are in single precision and so large that they are coarse; "
+                    "export it about its own origin and move it by translate",
+                )
+            mesh = replace(mesh, vertices=mesh.vertices - origin)
+            placed.append(self._without_degenerate(table, key, scene_place.cut_huge(mesh, camera)))
+        self._report_dropped()
+        return origin, placed
 
     def _report_dropped(self) -> None:
         """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
@@ -130,36 +145,40 @@ class _Assembly:
                 self.warn(table, key, message)
 
     def scene(self, name: str, path: Path, camera: Camera, lights: list[QuadLight]) -> Scene:
-        self._report_dropped()
-        if not self._meshes:
+        if not self._parts:
             raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
-        vertices = np.concatenate([mesh.vertices for mesh in self._meshes]).astype(np.float32)
-        # float64: the extent of a scene far from the origin must not be rounded itself.
-        extent = np.ptp(vertices.astype(np.float64), axis=0).max()
-        if np.abs(vertices).max() > _FAR_FROM_ORIGIN * extent:
+        origin, meshes = self._placed(camera)
+        camera = scene_place.moved(camera, origin)
+        moved = [replace(light, corner=light.corner - origin).single() for light in lights]
+        vertices = np.concatenate([mesh.vertices for mesh in meshes])
+        pixels = scene_place.unresolved_steps(vertices, origin, camera)
+        if pixels:
             self.warnings.append(
-                f"{path}: the scene lies more than {_FAR_FROM_ORIGIN:g} times its size from the "
-                "origin, where single precision is coarse; move it closer"
+                f"{path}: single precision cannot resolve the scene: what it rounds makes {pixels:.2g} "
+                f"pixels of a picture of {scene_place.PIXELS} rows; shadows may be missing or wrong. "
+                "Move the camera closer and widen its field of view, or leave out what is far away"
             )
-        normals = np.concatenate([mesh.normals for mesh in self._meshes]).astype(np.float32)
-        triangles = np.concatenate([mesh.triangles for mesh in self._meshes]).astype(np.uint32)
-        triangle_material = np.concatenate(self._triangle_material)
-        triangle_light = np.concatenate(self._triangle_light)
-        for array in (vertices, normals, triangles, triangle_material, triangle_light):
-            array.setflags(write=False)
-        return Scene(
+        firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+        triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
+        counts = [len(mesh.triangles) for mesh in meshes]
+        scene = Scene(
             name=name,
             path=path,
             camera=camera,
             materials=tuple(self.materials),
-            lights=tuple(lights),
-            vertices=vertices,
-            vertex_normals=normals,
-            triangles=triangles,
-            triangle_material=triangle_material,
-            triangle_light=triangle_light,
+            lights=tuple(moved),
+            vertices=vertices.astype(np.float32),
+            vertex_normals=np.concatenate([mesh.normals for mesh in meshes]).astype(np.float32),
+            triangles=np.concatenate(triangles).astype(np.uint32),
+            triangle_material=np.repeat([part[3] for part in self._parts], counts).astype(np.int32),
+            triangle_light=np.repeat([part[4] for part in self._parts], counts).astype(np.int32),
             warnings=tuple(self.warnings),
+            origin=origin,
         )
+        for array in vars(scene).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+        return scene
 
 
 def _read_toml(path: Path) -> dict[str, object]:
@@ -347,7 +366,6 @@ def _add_lights(root: Table, assembly: _Assembly) -> list[QuadLight]:
             raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
         mesh = scene_geometry.quad_mesh(corner, edge1, edge2)
         assembly.add(table, "", mesh, material, light=index)
-        single = (vector.astype(np.float32) for vector in (corner, edge1, edge2))
         two_sided = bool(table.flag("two_sided", False))
-        lights.append(QuadLight(*single, table.colour("radiance"), two_sided))
+        lights.append(QuadLight(corner, edge1, edge2, table.colour("radiance"), two_sided))
     return lights

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -21,7 +21,7 @@ class Camera:
     Attributes
     ----------
     position, target, up : float64 (3,)
-        World space; `up` need not be perpendicular to the view direction.
+        `up` need not be perpendicular to the view direction.
     vertical_fov : float
         Full vertical field of view in degrees, in (0, 180).
     """
@@ -63,7 +63,7 @@ class QuadLight:
     Attributes
     ----------
     corner, edge1, edge2 : float32 (3,)
-        Its points are corner + u * edge1 + v * edge2 with u, v in [0, 1]; world space.
+        Its points are corner + u * edge1 + v * edge2 with u, v in [0, 1].
     radiance : float32 (3,)
         Linear RGB.
     two_sided : bool
@@ -87,15 +87,21 @@ class QuadLight:
         """Area of one side, in square scene units."""
         return float(np.linalg.norm(self._vector_area()))
 
+    def single(self) -> QuadLight:
+        """The same light in single precision."""
+        vectors = {name: getattr(self, name).astype(np.float32) for name in ("corner", "edge1", "edge2")}
+        return replace(self, **vectors)
+
     def _vector_area(self) -> NDArray[np.float64]:
         return np.cross(self.edge1.astype(np.float64), self.edge2.astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that is rendered: one merged triangle mesh in world space, surfaces, lights, camera.
+    """All that is rendered: one merged triangle mesh, surfaces, lights, camera.
 
-    The arrays are read-only. Every light is also part of the mesh, as its last triangles.
+    The arrays are read-only. Every light is also part of the mesh, as its last triangles. Positions are
+    relative to `origin`, which `scene_place` chooses, those of lights and camera too.
 
     Attributes
     ----------
@@ -109,7 +115,8 @@ class Scene:
         May be empty: ambient occlusion needs none.
     vertices : float32 (n_vertices, 3)
     vertex_normals : float32 (n_vertices, 3)
-        Unit shading normals; all zero where the triangle's own normal is to be used.
+        Shading normals, to be interpolated and normalised; all zero where the triangle's own normal is
+        to be used.
     triangles : uint32 (n_triangles, 3)
     triangle_material : int32 (n_triangles,)
         Index into `materials`.
@@ -117,6 +124,8 @@ class Scene:
         Index into `lights`, or -1.
     warnings : tuple of str
         What the reader put right, such as dropped triangles.
+    origin : float64 (3,)
+        World position of this scene's origin: 0 unless the scene lies far from the world's.
     """
 
     name: str
@@ -130,11 +139,17 @@ class Scene:
     triangle_material: NDArray[np.int32]
     triangle_light: NDArray[np.int32]
     warnings: tuple[str, ...]
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
     def bounds(self) -> NDArray[np.float32]:
-        """Smallest and largest coordinates, float32 (2, 3)."""
+        """Smallest and largest coordinates about `origin`, float32 (2, 3)."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @property
+    def world_bounds(self) -> NDArray[np.float64]:
+        """`bounds` in the world, float64 (2, 3)."""
+        return self.bounds.astype(np.float64) + self.origin
 
     @cached_property
     def digest(self) -> str:

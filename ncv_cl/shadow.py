@@ -17,9 +17,8 @@ CENTRE_FLOATS = 4
 def shadow_casters(scene: Scene) -> np.ndarray:
     """What shadow.cl reads of a scene, float32 (CENTRE_FLOATS + triangles * CASTER_FLOATS,)."""
     corners = scene.vertices[scene.triangles].astype(np.float64)
-    lower, upper = scene.bounds
-    # Rounded before it is taken off, as the kernel does.
-    centre = ((np.asarray(lower, np.float64) + upper) / 2).astype(np.float32)
+    # The middle of a scene of all sizes may be far from what is seen; its origin is not (`scene_place`).
+    centre = np.clip(np.float32(0), *scene.bounds)
     corners -= centre
     following = np.roll(corners, -1, axis=1)
     edges = np.concatenate([following - corners, np.cross(corners, following)], axis=2)

@@ -59,7 +59,7 @@ class Occluders:
         # The same numbers as at the lists' heads: the host wants these without the lists.
         lengths = HostArray(device, points.active, np.uint32)
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
-        build(device, ("common", "surface", "shaft"), defines).kernel("find_occluders")(
+        build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")(
             points.active,
             points.active,
             points.total,

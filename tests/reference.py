@@ -9,6 +9,7 @@ from ncv_cl.device import Device
 from ncv_cl.estimate import Estimator
 from ncv_cl.image import Image
 from ncv_cl.integrands import Integrand
+from ncv_cl.integrands.lights import SMALL_LIGHT
 from ncv_cl.paths import sample_source
 from ncv_cl.points import ShadingPoints, find_points
 from ncv_cl.program import Kernel, device_defines, option_list, source
@@ -245,6 +246,35 @@ def quad(corner: object, edge1: object, edge2: object) -> np.ndarray:
 def light_corners(light: QuadLight) -> np.ndarray:
     corner, edge1, edge2 = (vector.astype(float) for vector in (light.corner, light.edge1, light.edge2))
     return corner + np.array([0 * edge1, edge1, edge1 + edge2, edge2])
+
+
+def light_samples(
+    light: QuadLight, position: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where (u, v) of a light's square are on it, float64 (n, 3), and what solid angle each stands for.
+
+    By cylindrical coordinates about the axis through `position` along edge2: the angle about it and the
+    sine of the angle along it, each stretched to [0, 1]; small lights by area, along their edges.
+    """
+    corner, edge1, edge2 = (vector.astype(float) for vector in (light.corner, light.edge1, light.edge2))
+    normal = unit(np.cross(edge1, edge2))
+    middle = corner + (edge1 + edge2) / 2 - position
+    if edge1 @ edge1 + edge2 @ edge2 <= SMALL_LIGHT**2 * (middle @ middle):
+        ends = corner + u[:, None] * edge1 + v[:, None] * edge2
+        distance = np.linalg.norm(ends - position, axis=1)
+        return ends, np.abs((ends - position) @ normal) / distance**3 * light.area
+    along = unit(edge2)
+    across = np.cross(along, normal)
+    z, x0, width = abs((corner - position) @ normal), (corner - position) @ across, edge1 @ across
+    first, last = np.arctan2(x0, z), np.arctan2(x0 + width, z)
+    x = z * np.tan(first + u * (last - first))
+    s = (x - x0) / width
+    begin = (corner - position) @ along + s * (edge1 @ along)
+    radius = np.hypot(x, z)
+    low, high = (y / np.hypot(radius, y) for y in (begin, begin + np.linalg.norm(edge2)))
+    h = low + v * (high - low)
+    t = (radius * h / np.sqrt(1 - h**2) - begin) / np.linalg.norm(edge2)
+    return corner + s[:, None] * edge1 + t[:, None] * edge2, (last - first) * (high - low)
 
 
 class RayRecorder:

@@ -12,6 +12,7 @@ from reference import (
     grey,
     light_at,
     light_corners,
+    light_samples,
     mesh_scene,
     polygon_irradiance,
     quad,
@@ -22,7 +23,7 @@ from reference import (
 )
 
 from ncv_cl.integrands import DirectLight, IntegrandError
-from ncv_cl.integrands.direct import LIGHT_FLOATS, strip_widths
+from ncv_cl.integrands.lights import LIGHT_FLOATS, MOST_CHOSEN, power_of, strip_rows, strip_widths
 from ncv_cl.samples import NO_RAY
 from ncv_cl.scene import load_scene
 
@@ -64,26 +65,38 @@ def exact_radiance(scene, points, albedo=0.5):
     return radiance
 
 
+def chosen_strips(strips, scene, rows, point):
+    """The strips of the lights that may light a point, (lights, 2): by their corners alone."""
+    choice = 0
+    for k, light in enumerate(scene.lights):
+        to = light_corners(light) - rows["position"][point]
+        shines = light.two_sided or to[0] @ light.normal < 0
+        above = (to @ rows["normal"][point]).max() > 0
+        choice |= int(shines and above) << k
+    return strips[choice if len(strips) > 1 else 0]
+
+
 @pytest.mark.parametrize("lights", [LIGHTS[:1], LIGHTS[1:], LIGHTS])
 @pytest.mark.parametrize("material", [grey((0.2, 0.5, 0.9)), grey((0.2, 0.5, 0.9), (0.04, 0, 0.6), 0.3)])
 def test_every_sample_matches_float64(device, lights, material):
     scene, samples = floor_scene(lights, material), 203
     points, source, rays = sampling(device, scene, DirectLight(), (7, 5), samples)
     arrays = batch_arrays(source.draw(range(points.active), range(samples), 0), 3)
-    records = DirectLight().data(scene).reshape(-1, LIGHT_FLOATS)
-    widths = strip_widths(scene.lights)
+    rows_of_strips = strip_rows(scene.lights)
     two_sided = np.array([one.two_sided for one in scene.lights])
     rows = {name: points.rows(name).T.astype(float) for name in ("position", "normal", "outgoing")}
     for point in range(points.active):
         u, v = (arrays[name][point].astype(float) for name in "uv")
-        # Light k owns first_k <= u < first_(k + 1).
-        which = np.searchsorted(records[:, 15], arrays["u"][point], side="right") - 1
-        along = (u - records[which, 15].astype(float)) / records[which, 16].astype(float)
-        corner, edge1, edge2, normal = (
-            np.array([getattr(one, name) for one in scene.lights], float)[which]
-            for name in ("corner", "edge1", "edge2", "normal")
-        )
-        end = corner + along[:, None] * edge1 + v[:, None] * edge2
+        first, widths = chosen_strips(rows_of_strips, scene, rows, point).T
+        inside = (u[:, None] >= first) & (u[:, None] < first + widths)
+        assert (inside.sum(axis=1) == 1).all()
+        which = inside.argmax(axis=1)
+        along = (u - first[which]) / widths[which]
+        normal = np.array([one.normal for one in scene.lights], float)[which]
+        end, stands_for = np.empty((samples, 3)), np.empty(samples)
+        for number, light in enumerate(scene.lights):
+            own = which == number
+            end[own], stands_for[own] = light_samples(light, rows["position"][point], along[own], v[own])
         towards = end - rows["position"][point]
         distance = np.linalg.norm(towards, axis=1)
         towards /= distance[:, None]
@@ -94,9 +107,9 @@ def test_every_sample_matches_float64(device, lights, material):
             rows["normal"][point], rows["outgoing"][point], towards, material.albedo,
             material.reflectance, material.roughness,
         )  # fmt: skip
-        power = np.array([one.radiance * one.area for one in scene.lights], float) / widths[:, None]
-        geometry = np.maximum(cosine, 0) * facing / distance**2
-        expected = f_r * geometry[:, None] * power[which]
+        radiance = np.array([one.radiance for one in scene.lights], float)[which] / widths[which, None]
+        geometry = np.maximum(cosine, 0) * stands_for * (facing > 0)
+        expected = f_r * geometry[:, None] * radiance
         np.testing.assert_allclose(arrays["value"][:, point].T, expected, rtol=2e-4, atol=1e-6)
 
         slot = arrays["slot"][point]
@@ -174,8 +187,13 @@ def test_what_lies_below_the_horizon_gives_nothing(device):
     sunk = light_at([-1, -1, -3], [2, 0, 0], [0, 2, 0], 5)
     points, source, rays = sampling(device, floor_scene((sunk,)), DirectLight(), (5, 3), 256)
     arrays = batch_arrays(source.draw(range(points.active), range(256), 0), 3)
-    risen = arrays["v"] > 0.5
-    clear = np.abs(arrays["v"] - 0.5) > 1e-5
+    end = np.array([
+        light_samples(sunk, position, u.astype(float), v.astype(float))[0][:, 1]
+        for position, u, v in zip(
+            points.rows("position").T.astype(float), arrays["u"], arrays["v"], strict=True
+        )
+    ])  # fmt: skip
+    risen, clear = end > 0, np.abs(end) > 1e-5
     np.testing.assert_array_equal((arrays["value"] != 0).all(axis=0)[clear], risen[clear])
     assert rays.answers.all() and 0.4 < len(rays.answers) / clear.size < 0.6
 
@@ -191,14 +209,118 @@ def test_an_occluder_casts_its_shadow(device):
     assert batch_arrays(batch, 3)["value"].min() > 0
 
 
-def test_lights_that_are_off_cost_a_sliver_and_give_nothing(device):
+def test_lights_that_are_off_cost_and_give_nothing(device):
     off = replace(LIGHTS[1], radiance=np.zeros(3, np.float32))
     scene = floor_scene((off, LIGHTS[0], off))
+    assert strip_rows(scene.lights)[-1].tolist() == [[0, 0], [0, 1], [1, 0]]
+    assert np.isfinite(DirectLight().data(scene)).all()
     points, source, _ = sampling(device, scene, DirectLight(), (4, 3), 4096)
     mean = shadowed_values(source.draw(range(points.active), range(4096), 0), 3).mean(axis=-1)
-    np.testing.assert_allclose(mean, exact_radiance(scene, points), rtol=1e-3)
-    widths = strip_widths((off, off))
-    np.testing.assert_allclose(widths, 0.5)
+    np.testing.assert_allclose(mean, exact_radiance(scene, points), rtol=2e-5)
+    # Of two without power nothing is asked but a picture, which is black.
+    dark = floor_scene((off, off))
+    assert strip_rows(dark.lights)[-1, :, 1].tolist() == [0.5, 0.5]
+    assert not render_plain(device, dark, DirectLight(), (4, 3), 16)[0].pixels.any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 16, 17, 1000, 5000])
+@pytest.mark.parametrize("ratio", [1.0, 1.3, 1e6, 1e30])
+def test_strips_are_dyadic_and_none_is_starved(count, ratio):
+    generator = np.random.default_rng(count)
+    strength = ratio ** generator.uniform(-0.5, 0.5, count)
+    lights = tuple(replace(LIGHTS[0], radiance=np.full(3, s, np.float32)) for s in strength)
+    widths = strip_widths(np.array([power_of(light) for light in lights]))
+    cells = 1 / np.gcd.reduce((widths * 2**24).astype(np.int64)) * 2**24
+    assert cells <= max(16, 8 * count)
+    # Exactly, also in float32: as the kernel compares them.
+    records = DirectLight().data(floor_scene(lights))[: count * LIGHT_FLOATS].reshape(-1, LIGHT_FLOATS)
+    np.testing.assert_array_equal(records[:, 15][1:], (records[:, 15] + records[:, 16])[:-1])
+    assert records[0, 15] == 0 and records[-1, 15] + records[-1, 16] == 1
+    np.testing.assert_array_equal(records[:, 16], widths)
+    wanted = 0.5 * strength / strength.sum() + 0.5 / count
+    assert np.abs(widths - wanted).max() < 1 / max(16, 4 * count)
+    assert widths.min() >= 0.5 / count - 1 / max(16, 4 * count) > 0
+
+
+@pytest.mark.parametrize("count", [2, 3, MOST_CHOSEN, MOST_CHOSEN + 1])
+def test_every_choice_of_lights_has_strips_of_its_own(count):
+    lights = tuple(replace(LIGHTS[0], radiance=np.full(3, 3.0**k, np.float32)) for k in range(count))
+    rows = strip_rows(lights)
+    power = np.array([power_of(light) for light in lights])
+    assert len(rows) == (2**count if count <= MOST_CHOSEN else 1)
+    for number, row in enumerate(rows):
+        chosen = [k for k in range(count) if number >> k & 1] or list(range(count))
+        np.testing.assert_array_equal(row[chosen, 1], strip_widths(power[chosen]))
+        np.testing.assert_array_equal(np.cumsum(row[chosen, 1]), row[chosen].sum(axis=1))
+        assert not np.delete(row, chosen, axis=0).any() and row[:, 1].sum() == 1
+    np.testing.assert_array_equal(
+        DirectLight().data(floor_scene(lights))[-2 * count :], rows[-1].ravel()
+    )
+
+
+def test_lights_that_cannot_light_a_point_take_none_of_its_samples(device):
+    """Each side of a roof is lit by one of two lamps."""
+    roof = np.concatenate(
+        [quad([-2, 0, -2], [0, 0, 4], [2, 2, 0]), quad([0, 2, -2], [0, 0, 4], [2, -2, 0])]
+    )
+    lamps = (
+        light_at([-4, 2, -0.5], [0, 0.5, 0], [0, 0, 1], 30),
+        light_at([4, 2, -0.5], [0, 0, 1], [0, 0.5, 0], 300),
+    )
+    scene = mesh_scene(roof, camera_at([0, 6, 0.01], [0, 0, 0], 30), lamps)
+    points, source, _ = sampling(device, scene, DirectLight(), (12, 8), 256)
+    values = batch_arrays(source.draw(range(points.active), range(256), 0), 3)["value"]
+    side = points.rows("position")[0]
+    assert (side > 0).any() and (side < 0).any()
+    # If both had a strip everywhere, a half or more would be zero on one side.
+    assert (values > 0).all()
+    mean = values.astype(float).mean(axis=-1)
+    exact = [exact_radiance(mesh_scene(roof, scene.camera, (lamp,)), points) for lamp in lamps]
+    np.testing.assert_allclose(mean, np.where(side < 0, *exact), rtol=2e-3)
+
+
+def test_a_hidden_sun_does_not_starve_a_lamp(device):
+    """The sun is behind a roof: nothing that the camera sees is lit by it."""
+    lamp = light_at([-0.1, 2, -0.1], [0.2, 0, 0], [0, 0, 0.2], 100)
+    sun = light_at([-50, 200, -50], [100, 0, 0], [0, 0, 100], 1000)
+    roof = quad([-20, 3, -20], [40, 0, 0], [0, 0, 40])
+    triangles = np.concatenate([FLOOR, roof])
+    for lights in ((lamp, sun), (sun, lamp)):
+        scene = mesh_scene(triangles, CAMERA, lights)
+        image, points = render_plain(device, scene, DirectLight(), (9, 7), 256)
+        exact = exact_radiance(mesh_scene(triangles, CAMERA, (lamp,)), points)
+        np.testing.assert_allclose(image.pixels.reshape(-1, 3).T, exact, rtol=2e-3)
+
+
+def test_strips_off_the_grid_would_ruin_sobol_points(device, monkeypatch):
+    """What the grid is for: two smooth lights, 1024 points, the same shares on it and off it."""
+    lights = (LIGHTS[0], light_at([2, 2, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)))
+
+    def error(shares):
+        monkeypatch.setattr(
+            "ncv_cl.integrands.lights.strip_widths",
+            lambda power: np.array(shares)[: len(power)] / sum(shares[: len(power)]),
+        )
+        scene = floor_scene(lights)
+        image, points = render_plain(device, scene, DirectLight(), (9, 7), 1024)
+        return np.mean((image.pixels.reshape(-1, 3).T - exact_radiance(scene, points)) ** 2)
+
+    assert error([7 / 16, 9 / 16]) < 0.1 * error([0.4319, 0.5681])
+
+
+@pytest.mark.parametrize("sampler", ["independent", "sobol"])
+def test_forty_lights_of_very_different_power_add_up(device, sampler):
+    generator = np.random.default_rng(4)
+    lights = tuple(
+        light_at([x, 4, z], [0.5, 0, 0], [0, 0, 0.5], 10 ** generator.uniform(-3, 3, 3))
+        for x, z in generator.uniform(-5, 5, (40, 2))
+    )
+    scene = floor_scene(lights)
+    image, points = render_plain(device, scene, DirectLight(), (9, 7), 4096, sampler)
+    error = image.pixels.reshape(-1, 3).T - exact_radiance(scene, points)
+    z = error / np.sqrt(image.variance.reshape(-1, 3).T)
+    assert np.abs(z).max() < 4.5
+    assert z.std() < 1.2 and (sampler == "sobol" or z.std() > 0.8)
 
 
 def test_emitted_radiance_follows_the_side(one_device):

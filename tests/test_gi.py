@@ -17,7 +17,6 @@ from reference import (
 )
 
 from ncv_cl import DirectLight, GlobalIllumination, IntegrandError, Material, render, render_split
-from ncv_cl.integrands.direct import strip_widths
 
 CAMERA = camera_at([0.1, 0.2, 0.4], [-0.3, -0.4, -1], 60)
 
@@ -218,7 +217,19 @@ def test_scenes_that_do_not_suit_are_refused():
     lamps = (light_at([-0.5, 0.9, -0.5], [1, 0, 0], [0, 0, 1]),)
     with pytest.raises(IntegrandError, match="emits"):
         DirectLight().data(closed_box(glowing(0.5, 1.0), lamps))
-    assert strip_widths(lamps).sum() == 1
+
+
+def test_a_bright_lamp_that_is_hidden_does_not_starve_the_next_bounce(device):
+    """What is outside the room shares the square with the lamp inside; the picture is that one's."""
+    lamp = light_at([-0.5, 0.9, -0.5], [1, 0, 0], [0, 0, 1], 3)
+    outside = light_at([-30, 50, -30], [60, 0, 0], [0, 0, 60], 1e4)
+    options = {"method": "mc", "sampler": "independent", "size": (6, 5), "device": device}
+    gi = GlobalIllumination(4)
+    alone = render(closed_box(grey(0.6), (lamp,)), gi, spp=2048, seed=1, **options)
+    both = render(closed_box(grey(0.6), (lamp, outside)), gi, spp=2048, seed=2, **options)
+    z = (both.pixels - alone.pixels) / np.sqrt(alone.variance + both.variance + 1e-12)
+    assert alone.pixels.min() > 0 and np.abs(z).max() < 5
+    np.testing.assert_allclose(both.pixels.mean(), alone.pixels.mean(), rtol=0.02)
 
 
 def test_direct_light_split_off_is_the_same_image(device):

@@ -9,6 +9,7 @@ from reference import (
     grey,
     intersect,
     light_at,
+    light_samples,
     mesh_scene,
     quad,
     sampling,
@@ -80,7 +81,10 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     batch = source.draw(range(points.active), range(32), 0)
     uv = np.stack([a.read()[: points.active * 32].reshape(-1, 32) for a in (batch.u, batch.v)])
     light = scene.lights[0]
-    ends = light.corner + uv[0][..., None] * light.edge1 + uv[1][..., None] * light.edge2
+    position = points.rows("position").T.astype(float)
+    ends = np.array(
+        [light_samples(light, at, *uv[:, k].astype(float))[0] for k, at in enumerate(position)]
+    )
     origin = (points.rows("position") + points.rows("offset") * points.rows("geometric_normal")).T
     size = 3 * points.active * 32
     lit = batch.value.read().ravel()[:size].reshape(3, -1, 32).max(axis=0) > 0

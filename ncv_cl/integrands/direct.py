@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..points import RELATIVE_OFFSET, ShadingPoints
+from ..points import ShadingPoints
 from ..scene import QuadLight, Scene
 from .base import Integrand, IntegrandError
-
-LIGHT_FLOATS = 20
+from .lights import emitted_by_lights, light_defines, light_records
 
 
 class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
 
-    (u, v) is a point on a light. Several lights share the unit square as strips in u, each as wide as
-    its share of the emitted power, so the integral stays two-dimensional.
+    (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
+    as strips in u, see `lights.strip_rows`, so the integral stays two-dimensional.
     """
 
     name = "direct"
@@ -73,67 +72,12 @@ class DirectLight(Integrand):
                 )
 
 
-def light_records(lights: tuple[QuadLight, ...]) -> np.ndarray:
-    """What lights.cl reads of the lights, float32 (lights * LIGHT_FLOATS,)."""
-    if not lights:
-        return np.zeros(0, np.float32)
-    widths = strip_widths(lights)
-    firsts = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
-    return np.concatenate(
-        [
-            _light_record(light, first, width)
-            for light, first, width in zip(lights, firsts, widths, strict=True)
-        ]
-    )
-
-
-def light_defines(scene: Scene) -> dict[str, int]:
-    """The `-D` constants of lights.cl."""
-    return {"LIGHT_COUNT": len(scene.lights), "LIGHT_FLOATS": LIGHT_FLOATS}
-
-
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
     return {"HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials))}
-
-
-def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """As `Integrand.emitted`, for area lights."""
-    radiance = np.array([one.radiance for one in scene.lights], np.float32)
-    normals = np.array([one.normal for one in scene.lights], np.float32)
-    two_sided = np.array([one.two_sided for one in scene.lights])
-    front = np.einsum("pi,ip->p", normals[light], outgoing) > 0
-    return radiance[light] * (front | two_sided[light])[:, None]
-
-
-def strip_widths(lights: tuple[QuadLight, ...]) -> np.ndarray:
-    """Each light's share of the unit square's u axis: its share of the emitted power, float64."""
-    power = np.array([light.area * np.mean(light.radiance) * (1 + light.two_sided) for light in lights])
-    # Lights that are switched off keep a sliver, so that every strip has a width to divide by.
-    power = np.maximum(power, 1e-6 * max(power.max(), 1e-30))
-    return power / power.sum()
 
 
 def _corners(light: QuadLight) -> np.ndarray:
     """float64 (4, 3)."""
     corner, edge1, edge2 = (np.asarray(a, np.float64) for a in (light.corner, light.edge1, light.edge2))
     return np.stack([corner, corner + edge1, corner + edge2, corner + edge1 + edge2])
-
-
-def _light_record(light: QuadLight, first: float, width: float) -> np.ndarray:
-    corners = np.abs(light.corner) + np.abs(light.edge1) + np.abs(light.edge2)
-    radiance = np.asarray(light.radiance, float) * light.area / width
-    offset = RELATIVE_OFFSET * corners.max()
-    record = [
-        *light.corner,
-        *light.edge1,
-        *light.edge2,
-        *light.normal,
-        *radiance,
-        first,
-        width,
-        float(light.two_sided),
-        offset,
-        width / light.area,
-    ]
-    return np.array(record, np.float32)

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..scene import Scene
 from .base import Integrand, IntegrandError
-from .direct import emitted_by_lights, light_defines, light_records, scattering_defines
+from .direct import scattering_defines
+from .lights import emitted_by_lights, light_defines, light_records
 
 
 class GlobalIllumination(Integrand):
