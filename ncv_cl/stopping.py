@@ -8,23 +8,20 @@ from collections.abc import Callable
 from .clock import Clock
 from .estimation import Estimation
 from .integrands import Integrand
+from .integrands.lights import strip_rows
 from .scene import Scene
 
 # An error estimate is believed when so many samples of the image are to be expected on every light.
 # They are then enough for each light's part of the error, which is a mean over the image; with less, a
 # light that few samples go to may not have been seen at all.
 FEWEST_ON_A_LIGHT = 4096
-# Word of a light's record (lights.cl) that holds the width of its strip of the square.
-WIDTH_WORD = 16
 
 
 def smallest_strip(integrand: Integrand, scene: Scene) -> float:
     """The narrowest part of the unit square that one light has to itself; 1 without lights."""
-    defines = integrand.defines(scene)
-    if not defines.get("LIGHT_COUNT"):
+    if not integrand.defines(scene).get("LIGHT_COUNT"):
         return 1.0
-    records = integrand.data(scene).reshape(-1, defines["LIGHT_FLOATS"])
-    widths = records[: defines["LIGHT_COUNT"], WIDTH_WORD]
+    widths = strip_rows(scene.lights)[..., 1]
     return float(widths[widths > 0].min(initial=1.0))
 
 
