@@ -74,9 +74,8 @@ void leader_next_cell(SPACE Workspace *work) {
   work->level = k < 0 ? -1 : k + 1;
 }
 
-/* The affine functions of layer k + 1 inside the current face of arrangement k, and this face's part in the check of
- * layer k. */
-void next_lines(SPACE Workspace *work, __global Tables *tables, const int k, const int lane) {
+/* The affine functions of layer k + 1 inside the current face of arrangement k. */
+void next_lines(SPACE Workspace *work, __global const Tables *tables, const int k, const int lane) {
   SPACE const Lines *lines = &work->lines[k];
   SPACE Lines *next = &work->lines[k + 1];
   const int inputs = WIDTH[k + 1];
@@ -85,7 +84,6 @@ void next_lines(SPACE Workspace *work, __global Tables *tables, const int k, con
   __global const number *bias = layer_bias(work, tables, k + 1);
   const number mean_x = work->face.mean_x;
   const number mean_y = work->face.mean_y;
-  subtract_face(work, tables, k, lane);
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     numbers a = 0;
     numbers b = 0;
@@ -165,6 +163,7 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
     BARRIER();
     const int k = work->level;
     if (k < 0) break;
+    subtract_face(work, tables, k - 1, lane);
     next_lines(work, tables, k - 1, lane);
     BARRIER();
     add_lines(&work->arrangement[k], &work->lines[k], work->crossing, WIDTH[k + 1], (ushort)(k + 1), lane);

@@ -1,8 +1,9 @@
 /* The complete subdivision of one network: every cell of the last hidden layer's arrangement, written out.
  *
- * The traversal is that of method `full` in integrate.cl. For each leaf cell: its corners, for each of its sides the
- * layer whose line it lies on (0: border of the square), its area and the affine function of every output channel,
- * for which the output layer is treated as one more layer of lines.
+ * The traversal is that of method `full` in integrate.cl, which integrates on the way: so the subdivision certifies
+ * itself as an integral does. For each leaf cell: its corners, for each of its sides the layer whose line it lies
+ * on (0: border of the square), its area and the affine function of every output channel, for which the output layer
+ * is treated as one more layer of lines.
  *
  * What does not fit the capacities is counted but not written, so that a first launch with none sizes the arrays.
  * counts: [0] cells, [1] corners, [2] why the subdivision is not to be trusted (leader_verdict; 0: it is).
@@ -37,13 +38,13 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
   int written = 0;
   for (;;) {
     const int level = work->level;
-    add_cell(work, tables, level, 1, lane);
+    if (level < LAST_ARRANGEMENT) add_cell(work, tables, level, 1, lane);
     if (level == LAST_ARRANGEMENT) {
+      integrate_cell(work, tables, lane);
       for (int f = 0; f < last->faces; ++f) {
         const int start = written;
         int e = last->face[f];
-        work->face = leader_measure_face(last, e);
-        COMPENSATED_ADD(number, work->area, work->area_error, work->face.absolute_area);
+        work->face = tables->face[f];
         next_lines(work, tables, HIDDEN - 1, lane);
         do {
           if (written < corner_capacity) {
@@ -70,11 +71,13 @@ void subdivide(__global int *counts, const int cell_capacity, const int corner_c
     leader_next_cell(work);
     const int k = work->level;
     if (k < 0) break;
+    subtract_face(work, tables, k - 1, lane);
     next_lines(work, tables, k - 1, lane);
     add_lines(&work->arrangement[k], &work->lines[k], work->crossing, WIDTH[k + 1], (ushort)(k + 1), lane);
   }
   counts[0] = cells;
   counts[1] = written;
-  for (int j = 0; j < channels; ++j) tables->output[j] = 0;
+  sum_on_terms(work, tables, lane);
+  compute_outputs(work, tables, lane);
   counts[2] = leader_verdict(work, tables);
 }

@@ -89,9 +89,19 @@ def integrate(
 
     Notes
     -----
-    ACCURACY_NOTE
+    Relative to Σ |w_j| ∫|activation(z_j)| + |b|, errors stay below 1e-6 (float32) and 1e-13 (float64).
+    That is measured: by ``bench_integrate.py --torture`` on networks of 37 families that are made to
+    break it, against rational arithmetic. It is not proven; what is bounded to first order in rounding
+    is what `return_bound` returns, some hundred times more than the errors of ordinary networks.
 
-    Any number of threads may call at a time.
+    Every point certifies itself: its lines pass through the arrangement as lines do, areas add up, each
+    arranged neuron has the same integral over the faces as over the whole, and so much is left of the
+    terms of its sums that their rounding does not matter. A point that does not is done again by
+    arrangements in double precision, then by cutting polygons, which takes some ten times as long. Where
+    a device has no double precision these are in single as well, and cancelling sums are only as good
+    as the bound says.
+
+    Any number of threads may call at a time; threads that share a device take turns on it.
 
     Meister and Harada, "Geometric Integration for Neural Control Variates", Computer Graphics
     Forum 2025.

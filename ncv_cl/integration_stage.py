@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -197,9 +198,10 @@ class ClippingStage:
         return self._counters.read(count)["retry"]
 
 
-def memory_of(program: Program, kernel: str) -> list[int]:
+@functools.cache
+def memory_of(program: Program, kernel: str) -> tuple[int, ...]:
     """Bytes of what a group keeps in memory, from the kernels' own sizeof."""
     sizes = HostArray(program.device, 2, np.int32)
     sizes.fill(0)
     program.kernel(kernel)(1, sizes, group=1)
-    return sizes.read().tolist()
+    return tuple(sizes.read().tolist())

@@ -68,6 +68,16 @@ def _exact_integral(
     return results, scales
 
 
+def exact_cell_count(weights: Sequence[np.ndarray], biases: Sequence[np.ndarray]) -> int:
+    """Into how many cells with area a network cuts the unit square."""
+    matrices = [[[mpq(float(x)) for x in row] for row in w] for w in weights]
+    offsets = [[mpq(float(x)) for x in b] for b in biases]
+    first = [(row[0], row[1], c) for row, c in zip(matrices[0], offsets[0], strict=True)]
+    # One layer more, so that the last hidden one is cut as well.
+    more = [*matrices, [[mpq(0)] * len(offsets[-1])]]
+    return sum(1 for _ in _cells(UNIT_SQUARE, first, more, [*offsets, [mpq(0)]], mpq(0), 1))
+
+
 def relative_errors(
     values: np.ndarray, weights: Sequence[np.ndarray], biases: Sequence[np.ndarray], slope: float = 0.0
 ) -> np.ndarray:

@@ -79,7 +79,7 @@ def test_every_capacity_that_does_not_hold_is_noticed(device, method, capacity, 
 
     def too_small(*arguments):
         constants = original(*arguments)
-        fewer = {"MAX_VERTICES": 16, "MAX_HALF_EDGES": 24, "MAX_FACES": 5, "MAX_TRIANGLES": 6}
+        fewer = {"MAX_VERTICES": 32, "MAX_HALF_EDGES": 24, "MAX_FACES": 5, "MAX_TRIANGLES": 6}
         corners = ",".join(["3"] * int(constants["ARRANGEMENTS"]))
         return constants | {capacity: {**fewer, "CORNER_BOUNDS": corners}[capacity]}
 

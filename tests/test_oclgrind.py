@@ -86,6 +86,46 @@ def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, 
     assert not faults, faults[:5000]
 
 
+# A crash, a wedge's tip in two and in three hidden layers, cancelling sums, tiny faces.
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize(
+    "method, precision, name",
+    [
+        ("decoupled", "float32", "crash_concurrent_all_6x6x6"),
+        ("full", "float32", "crash_concurrent_all_6x6x6"),
+        ("decoupled", "float64", "dec3_border_pencil_all_6x6x6"),
+        ("full", "float64", "full2_concurrent_all_dyadic_5x4"),
+        ("decoupled", "float32", "round_cancel_in_5x4"),
+        ("full", "float32", "round_lines_far_4x4x4x4"),
+    ],
+)
+def test_simulator_finds_no_fault_where_lines_meet(method, precision, name, vec, lanes, tmp_path):
+    program = PROGRAM.with_name("oclgrind_torture.py")
+    faults = simulate(tmp_path / "log", program, method, precision, str(vec), str(lanes), name)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize(
+    "method, capacity, value, vec, lanes",
+    [
+        # A whole tile of vertices at least: for 32 lanes these networks have too few.
+        ("full", "MAX_VERTICES", "16", 8, 1),
+        ("full", "MAX_HALF_EDGES", "20", *SHAPES[0]),
+        ("full", "MAX_FACES", "4", *SHAPES[1]),
+        ("decoupled", "MAX_TRIANGLES", "4", *SHAPES[0]),
+        ("decoupled", "CORNER_BOUNDS", "3,3", *SHAPES[1]),
+    ],
+)
+def test_simulator_finds_no_fault_where_a_capacity_does_not_hold(
+    method, capacity, value, vec, lanes, tmp_path
+):
+    program = PROGRAM.with_name("oclgrind_torture.py")
+    name = "full3_concurrent_all_dyadic_6x6x6"
+    arguments = (method, "float32", str(vec), str(lanes), name, capacity, value)
+    faults = simulate(tmp_path / "log", program, *arguments)
+    assert not faults, faults[:5000]
+
+
 def test_simulator_finds_faults(tmp_path):
     program = tmp_path / "faulty.py"
     program.write_text(

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-from rational import exact_integral, random_network
+from rational import exact_cell_count, exact_integral, random_network
+from test_certificate import TORTURE_NAMES, torture_network
 
+from ncv_cl import program
 from ncv_cl.integrate import integrate
 from ncv_cl.subdivide import draw_subdivision, subdivide
 
@@ -53,6 +55,53 @@ def test_as_many_faces_as_the_integral_visits(one_device):
     assert len(result.faces) == statistics.faces
     np.testing.assert_allclose(result.integral(), value[0], atol=1e-12)
     assert set(result.edge_layer) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("widths", [(2, 9, 1), (2, 8, 8, 2), (2, 5, 5, 5, 1), (2, 4, 4, 4, 4, 1)])
+def test_as_many_faces_as_in_rational_arithmetic(one_device, widths, precision):
+    for seed in range(4):
+        network = random_network(widths, None, seed)
+        result = subdivide(*network, precision=precision, device=one_device)
+        assert len(result.faces) == exact_cell_count(*network)
+
+
+def assert_is_a_subdivision(result, weights, biases, exact, scale):
+    """Convex faces that cover the square, and the network's functions on them."""
+    assert result.area.sum() == pytest.approx(1, abs=1e-6) and (result.area > 0).all()
+    for face in result.faces:
+        corners = result.vertices[face].astype(float)
+        sides = np.roll(corners, -1, axis=0) - corners
+        turns = np.cross(np.c_[sides, sides[:, :1] * 0], np.roll(np.c_[sides, sides[:, :1] * 0], -1, 0))
+        lengths = np.linalg.norm(sides, axis=1)
+        assert (turns[:, 2] >= -1e-6 * lengths.max()).all()
+    assert (np.abs(result.integral() - exact) <= 2e-6 * scale).all()
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", TORTURE_NAMES)
+def test_torture_networks(one_device, name, precision):
+    weights, biases, exact, scale = torture_network(name)
+    result = subdivide(weights, biases, precision=precision, device=one_device)
+    assert_is_a_subdivision(result, weights, biases, exact, scale)
+
+
+@pytest.mark.parametrize("widths", [(2, 9, 1), (2, 7, 6, 2), (2, 4, 5, 3, 1)])
+def test_cutting_polygons_gives_the_same_faces(one_device, widths, monkeypatch):
+    network = random_network(widths, None, seed=6)
+    expected = subdivide(*network, device=one_device)
+    original = program.source
+    monkeypatch.setattr(program, "_programs", {})
+    # No arrangement is certified.
+    refuse = ("if (failed) return COUNT_WALK;", "return COUNT_WALK;")
+    monkeypatch.setattr(program, "source", lambda files: original(files).replace(*refuse))
+    found = subdivide(*network, device=one_device)
+    assert len(found.faces) == len(expected.faces)
+    np.testing.assert_allclose(np.sort(found.area), np.sort(expected.area), atol=1e-13)
+    np.testing.assert_allclose(found.integral(), expected.integral(), atol=1e-13)
+    assert set(found.edge_layer) == set(expected.edge_layer)
+    border = found.vertices[found.edges[found.edge_layer == 0]]
+    assert np.linalg.norm(border[:, 1] - border[:, 0], axis=1).sum() == pytest.approx(4)
 
 
 def test_leaky_relu(one_device):
