@@ -201,7 +201,7 @@ void subtract_face(SPACE const Workspace *work, __global Tables *tables, const i
 /* The reason for which a point has to be done again: which of `counters` counts it; 0: none, it is certified. */
 int leader_verdict(SPACE const Workspace *work, __global const Tables *tables) {
   bool finite = true;
-  for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) finite = finite && isfinite(tables->output[j]);
+  for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) finite = finite && isfinite((stored)tables->output[j]);
 #if HIDDEN > 0
   bool failed = false;
   for (int k = 0; k < ARRANGEMENTS; ++k) failed = failed || work->arrangement[k].failed;

@@ -15,7 +15,7 @@ import pytest
 from ncv_cl import render
 
 SIZE = (48, 48)
-SEEDS = range(10, 16)
+SEEDS = range(10, 22)
 CASES = {
     "cornell-direct-ncv": ("cornell_box", "direct", {"method": "ncv"}),
     "occluders-direct-ncv": ("occluders", "direct", {"method": "ncv"}),

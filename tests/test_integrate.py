@@ -177,7 +177,8 @@ def test_widest_network_fits(one_device):
     network = random_network((2, 128, 128, 2), None, seed=10)
     decoupled, statistics = integrate(*network, device=one_device, return_stats=True)
     full = integrate(*network, method="full", device=one_device)
-    assert statistics.robust_points == 0 and statistics.faces > 3000
+    # Of sums of 128 terms little is left: they may be done again in double, but no arrangement fails.
+    assert statistics.robust_points == statistics.condition and statistics.faces > 3000
     np.testing.assert_allclose(decoupled, full, rtol=1e-5, atol=1e-5)
 
 
@@ -284,21 +285,24 @@ def fill(self, value):
 HostArray.fill = fill
 vector_width, lanes, method, tolerance = sys.argv[1:]
 device = open_device(list_cl_devices()[0], 0, int(vector_width), int(lanes))
-network = random_network((2, 4, 3, 2), 2, seed=12)
+network = random_network((2, 5, 4, 2), 2, seed=12)
 if tolerance != "default":
     certificate.excess_tolerance = lambda *_: float(tolerance)
-values, _ = run(device, network, (2, 4, 3, 2), method=method)
+values, _ = run(device, network, (2, 5, 4, 2), method=method)
 assert worst_error(values, network) < 1e-6
 """
 
 
 @pytest.mark.oclgrind
 @pytest.mark.skipif(OCLGRIND is None, reason="oclgrind is not installed")
-@pytest.mark.parametrize(("vector_width", "lanes"), [(16, 1), (1, GPU_LANES)])
+@pytest.mark.parametrize(("vector_width", "lanes"), [(8, 1), (1, GPU_LANES)])
 @pytest.mark.parametrize(("method", "tolerance"), [("decoupled", "default"), ("full", "-1")])
 def test_oclgrind_finds_nothing(tmp_path, vector_width, lanes, method, tolerance):
     log = tmp_path / "oclgrind.log"
     command = [OCLGRIND, "--log", log, "--data-races", "--uninitialized", "--local-mem-size", "49152"]
+    # oclgrind 21.10 itself crashes on optimised code, see test_oclgrind.py; and with --uninitialized, but not
+    # without, in its own look-out on networks of 4x3 neurons.
+    command += ["--build-options", "-cl-opt-disable"]
     arguments = [str(vector_width), str(lanes), method, tolerance]
     tests = Path(__file__).parent
     done = subprocess.run(

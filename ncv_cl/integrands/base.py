@@ -55,7 +55,9 @@ class Integrand(ABC):
             As `data` raises it, or where its numbers are beyond float32: kernels take NaN for no light.
         """
         data = self.data(scene)
-        if "LIGHT_COUNT" in self.defines(scene) and not np.isfinite(data).all():
+        largest = [float(np.max(light.radiance)) * light.area for light in scene.lights]
+        finite = np.isfinite(data).all() and np.isfinite(np.array(largest, np.float32)).all()
+        if "LIGHT_COUNT" in self.defines(scene) and not finite:
             raise IntegrandError(
                 f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
             )

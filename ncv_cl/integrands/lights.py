@@ -29,8 +29,8 @@ def strip_widths(power: np.ndarray) -> np.ndarray:
     Sobol points are spread evenly over dyadic intervals, so strips that begin and end on such a grid get
     their share of points, and get them well spread; others do not. Float32 holds these numbers exactly.
     """
-    # Where all is dark it does not matter.
-    power = power if power.any() else np.ones(len(power))
+    # Where all is dark it does not matter, nor where float64 overflows, which is refused later.
+    power = np.nan_to_num(power) if power.any() else np.ones(len(power))
     shining = power > 0
     count = np.count_nonzero(shining)
     cells = max(FEWEST_CELLS, 1 << int(CELLS_A_LIGHT * count - 1).bit_length())
