@@ -300,8 +300,8 @@ assert worst_error(values, network) < 1e-6
 def test_oclgrind_finds_nothing(tmp_path, vector_width, lanes, method, tolerance):
     log = tmp_path / "oclgrind.log"
     command = [OCLGRIND, "--log", log, "--data-races", "--uninitialized", "--local-mem-size", "49152"]
-    # oclgrind 21.10 itself crashes on optimised code, see test_oclgrind.py; and with --uninitialized, but not
-    # without, in its own look-out on networks of 4x3 neurons.
+    # oclgrind 21.10 itself crashes on optimised code, see test_oclgrind.py; and, but for
+    # --uninitialized not, on networks of 4x3 neurons.
     command += ["--build-options", "-cl-opt-disable"]
     arguments = [str(vector_width), str(lanes), method, tolerance]
     tests = Path(__file__).parent
