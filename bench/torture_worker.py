@@ -6,7 +6,6 @@ alone. So is a batch that the package refuses because a point has no finite resu
 
 from __future__ import annotations
 
-import inspect
 import multiprocessing
 import signal
 from collections import Counter
@@ -19,14 +18,12 @@ from rational import Network
 from ncv_cl.choose import choose_device
 from ncv_cl.device import Device, open_device
 from ncv_cl.integrate import integrate
-from ncv_cl.integrator import Statistics
 
 # Seconds for one batch, the compiler's included, on a machine that is busy with other things; and the
 # share of it for a part of a batch, for which all is compiled.
 TIME_LIMIT, PART_SHARE = 90.0, 1 / 3
 # What `Statistics` counts besides points that needed more than the arrangement.
 NOT_REDONE = ("points", "faces", "scratch_bytes")
-RETURNS_BOUND = "return_bound" in inspect.signature(integrate).parameters
 
 
 class CrashError(Exception):
@@ -179,18 +176,17 @@ class Worker:
 
 
 def _answer(device: Device, batch: Network, options: dict) -> tuple | Exception:
-    asked = {"return_stats": True} | ({"return_bound": True} if RETURNS_BOUND else {})
     try:
-        values, *rest = integrate(*batch, device=device, **options, **asked)
+        values, bounds, statistics = integrate(
+            *batch, device=device, return_bound=True, return_stats=True, **options
+        )
     except FloatingPointError as error:
         return RefusedError(str(error))
     # Whatever else it raises is no answer to a network that is valid.
     except Exception as error:
         return CrashError(f"{type(error).__name__}: {error}")
-    statistics = next(one for one in rest if isinstance(one, Statistics))
     counts = {name: getattr(statistics, name) for name in ("robust_points", *vars(statistics))}
     redone = {k: n for k, n in counts.items() if k not in NOT_REDONE and isinstance(n, int)}
-    bounds = next((one for one in rest if isinstance(one, np.ndarray)), None)
     return values, bounds, Counter(redone)
 
 

@@ -289,7 +289,7 @@ void robust_write_bound(__global Robust *r, __global const stored *G, __global s
       if (k < HIDDEN)
         r->terms[k % 2 * ROBUST_WIDTH + j] = sum * (precise)GREATEST_SLOPE;
       else
-        bound[j] = (stored)ldexp(ROBUST_ROUNDINGS * PRECISE_EPSILON * sum, r->exponent[ROBUST_BIAS_OFFSET[k] + j]) +
+        bound[j] = (stored)ldexp(ROUNDINGS * PRECISE_EPSILON * sum, r->exponent[ROBUST_BIAS_OFFSET[k] + j]) +
                    STORED_EPSILON * fabs(G[j]);
     }
   }

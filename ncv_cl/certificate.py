@@ -98,7 +98,6 @@ def certificate_constants(
         "EXCESS_TOLERANCE": f"{excess_tolerance(widths, precision)!r}{suffix}",
         "CONDITION_LIMIT": f"{condition_limit(precision, accuracy)!r}{suffix}",
         "ROUNDINGS": roundings,
-        "ROBUST_ROUNDINGS": roundings,
         "GREATEST_SLOPE": f"{max(1.0, abs(float(negative_slope)))!r}{suffix}",
         **{f"COUNT_{name.upper()}": place for place, name in enumerate(COUNTERS)},
     }
