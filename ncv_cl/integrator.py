@@ -118,6 +118,8 @@ class Integrator:
         """The `-D` constants of arrangements in `precision`; `for_single`: of listed single points."""
         device = self.device
         vec = min(device.vector_width, widest_vectors(device.cl_device, PRECISIONS[precision].itemsize))
+        # No wider than a layer: a small network's neurons would leave lanes idle.
+        vec = min(vec, max(4, 1 << (max(self.widths[1:]) - 1).bit_length()))
         constants: Constants = shape_constants(self.widths, self.method, vec * device.lanes)
         constants |= certificate_constants(
             self.widths, precision, self.negative_slope, for_single=for_single
