@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -198,7 +197,6 @@ class ClippingStage:
         return self._counters.read(count)["retry"]
 
 
-@functools.cache
 def memory_of(program: Program, kernel: str) -> tuple[int, ...]:
     """Bytes of what a group keeps in memory, from the kernels' own sizeof."""
     sizes = HostArray(program.device, 2, np.int32)
