@@ -84,6 +84,11 @@ def cut_huge(mesh: Mesh, camera: Camera) -> Mesh:
     viewer, longest_of_all = camera.position, None
     ratio = LOST_BY_EDGE * _pixel(camera) / (2.0**-24 * STEPS_LOST)
     ratio = min(max(ratio, SMALLEST_RATIO), LARGEST_RATIO)
+    # No edge is longer than the whole, and nothing of it nearer than its bounds: true of most meshes.
+    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    away = np.maximum(np.maximum(lower - viewer, viewer - upper), 0.0)
+    if np.linalg.norm(upper - lower) <= ratio * np.linalg.norm(away):
+        return mesh
     while len(mesh.triangles):
         corners = mesh.vertices[mesh.triangles]
         lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
