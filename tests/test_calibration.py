@@ -33,6 +33,9 @@ CASES = {
         {"method": "ncv", "density": "none", "allocation": "uniform"},
     ),
 }
+# Known to fail, at 1.24 and 1.88 where measured: one pixel in some renders is off by many deviations,
+# as all samples near it have overlooked its shadow's edge.
+TOO_SURE = [("cornell-direct-ncv", 16), ("cornell-direct-pilot", 16)]
 COARSE = {case for case in CASES if case.endswith(("direct-mc", "direct-pilot", "direct-uniform"))}
 
 pytestmark = pytest.mark.slow
@@ -78,10 +81,18 @@ def measured(one_device, scenes, reference):
 
 @pytest.mark.parametrize("spp", [16, 64])
 @pytest.mark.parametrize("case", CASES)
-def test_standardised_errors_have_unit_deviation(measured, case, spp):
+def test_standardised_errors_have_unit_deviation(measured, case, spp, request):
+    if (case, spp) in TOO_SURE:
+        request.applymarker(pytest.mark.xfail(reason="a rare pixel's shadow edge is overlooked"))
     squares, variances, of_truth = measured(case, spp)
-    # Of the median render: a single pixel whose shadow's edge all samples near it have overlooked can be
-    # off by a hundred deviations, and was in one render of ten whatever the streams of random numbers.
+    known = variances > 0
+    standardised = np.sqrt(np.mean(squares[known] / (variances + of_truth)[known]))
+    assert abs(standardised - 1) < (0.25 if case in COARSE else 0.1)
+
+
+@pytest.mark.parametrize("case, spp", TOO_SURE)
+def test_the_median_render_of_those_has_unit_deviation(measured, case, spp):
+    squares, variances, of_truth = measured(case, spp)
     standardised = np.median(
         [
             np.sqrt(np.mean(square[variance > 0] / (variance + of_truth)[variance > 0]))
