@@ -232,10 +232,10 @@ LightSample sample_lights(global const float *restrict lights, global const floa
   return found;
 }
 
-/* Per solid angle, the density of directions from a position to lights of several records, each to a point at
- * `segment` from it that it sees under the cosine `facing`; zero for lights without a strip. */
-real light_density(global const float *restrict lights, const whole record, const triple position, const triple segment,
-                   const real facing) {
+/* The solid angle that a sample of a whole light stands for, of lights of several records, each at a point at `segment`
+ * from a position that sees it under the cosine `facing`. */
+real light_stands_for(global const float *restrict lights, const whole record, const triple position,
+                      const triple segment, const real facing) {
   const triple corner = gather_triple(lights, record);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
   const triple edge1 = gather_triple(lights, record + 3);
@@ -255,5 +255,12 @@ real light_density(global const float *restrict lights, const whole record, cons
     const LightLine line = light_line(&view, x, FMA(x - view.x0, view.slope, view.y0));
     stands_for = SELECT(stands_for, view_angle(&view) * line.range, large);
   }
+  return stands_for;
+}
+
+/* Per solid angle, the density of these directions where all lights have strips; zero for lights without one. */
+real light_density(global const float *restrict lights, const whole record, const triple position, const triple segment,
+                   const real facing) {
+  const real stands_for = light_stands_for(lights, record, position, segment, facing);
   return gather(lights, record + 16) / max(stands_for, (real)1e-30f);
 }

@@ -9,6 +9,9 @@ from ..scene import QuadLight, Scene
 from .base import Integrand, IntegrandError
 from .lights import emitted_by_lights, light_defines, light_records
 
+# Shares of the unit square that the lobe may have, in the order in which the first of equals is taken.
+LOBE_SHARES = (0.0, 0.125, 0.25, 0.5, 0.75, 0.875)
+
 
 class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
@@ -18,7 +21,7 @@ class DirectLight(Integrand):
     """
 
     name = "direct"
-    files = ("bsdf", "lights", "direct")
+    files = ("bsdf", "bounce", "lights", "lobe", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
@@ -29,9 +32,15 @@ class DirectLight(Integrand):
         self._check(scene)
         return light_records(scene.lights)
 
-    def defines(self, scene: Scene) -> dict[str, int]:
+    def defines(self, scene: Scene) -> dict[str, int | str]:
         self._check(scene)
-        return {"CHANNELS": self.channels, **light_defines(scene), **scattering_defines(scene)}
+        return {
+            "CHANNELS": self.channels,
+            "LOBE_SHARE_COUNT": len(LOBE_SHARES),
+            "LOBE_SHARES": ",".join(f"{share!r}f" for share in LOBE_SHARES),
+            **light_defines(scene),
+            **scattering_defines(scene),
+        }
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:
         # Cosines times distances are affine on a light, so their signs at its corners decide. They are
