@@ -12,7 +12,8 @@
  * light two regions are taken, that where the lobe is largest on it, and the rest, as its middle. Without a lobe there is
  * no strip, nor where the lobe is nowhere much larger than what a light's own samples follow.
  *
- * Work-group contract: none; pure functions of private values.
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_lobe_shares is one work-item a
+ * point; the rest are functions of private values.
  */
 
 #if HAS_SPECULAR
@@ -68,10 +69,11 @@ void guess_places(global const float *restrict lights, const whole record, const
 }
 
 /* The lobe's share of the point's square; lights in lanes. */
-float lobe_strip(global const float *restrict lights, global const float *restrict strips, const ShadingPoint *p,
-                 const Scatterer *s) {
+float lobe_share_of_square(global const float *restrict lights, global const float *restrict strips,
+                           const ShadingPoint *p) {
   const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
-  if (!(p->reflectance.x + p->reflectance.y + p->reflectance.z > 0.0f)) return 0.0f;
+  const Scatterer surface = scatterer_of(p);
+  const Scatterer *s = &surface;
   const real twice = 2.0f * dot_triple(s->normal, s->outgoing);
   const triple mirrored = {twice * s->normal.x - s->outgoing.x, twice * s->normal.y - s->outgoing.y,
                            twice * s->normal.z - s->outgoing.z};
@@ -111,6 +113,16 @@ float lobe_strip(global const float *restrict lights, global const float *restri
       best = k;
     }
   return shares[best];
+}
+
+kernel void find_lobe_shares(const uint point_count, const uint total_points, global float *restrict surface,
+                             global const float *restrict lights) {
+  const uint point = (uint)get_global_id(0);
+  if (point >= point_count) return;
+  const ShadingPoint p = load_shading_point(surface, total_points, point);
+  const bool shiny = p.reflectance.x + p.reflectance.y + p.reflectance.z > 0.0f;
+  surface[ROW_LOBE_SHARE * (ulong)total_points + point] =
+      shiny ? lobe_share_of_square(lights, strips_at(lights, &p), &p) : 0.0f;
 }
 
 /* The lights that directions meet first. Their radiance is that of the light itself: nothing is divided by a density,
@@ -165,12 +177,11 @@ LightSample sample_lights_and_lobe(global const float *restrict lights, const Sh
   global const float *restrict strips = strips_at(lights, p);
   const triple position = to_triple(p->position);
   const triple origin = to_triple(ray_origin(p));
-  const float share = lobe_strip(lights, strips, p, s);
+  const float share = p->lobe_share;
   if (!(share > 0.0f)) return sample_lights(lights, strips, position, origin, u, v);
   const whole in_lobe = u < share;
-  /* Below zero, where no light has a strip, for the lobe's samples. */
   const real along = min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);
-  LightSample sample = sample_lights(lights, strips, position, origin, along, v);
+  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(along, u, in_lobe), v);
   const LightSample met = lights_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
   sample.lit = SELECT(sample.lit, met.lit, in_lobe);
   sample.density = SELECT(sample.density, met.density, in_lobe);

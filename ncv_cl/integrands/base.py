@@ -62,6 +62,13 @@ class Integrand(ABC):
                 f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
             )
 
+    def point_kernel(self, scene: Scene) -> str | None:
+        """The kernel of `files`, if there is one, that adds to every shading point what its samples share.
+
+        It takes the numbers of active points and of all, their `surface`, and `data`.
+        """
+        return None
+
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray | None:
         """Where f is zero for every (u, v), as far as that is certain without shadows.
 

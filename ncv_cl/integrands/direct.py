@@ -10,7 +10,7 @@ from .base import Integrand, IntegrandError
 from .lights import emitted_by_lights, light_defines, light_records
 
 # Shares of the unit square that the lobe may have, in the order in which the first of equals is taken.
-LOBE_SHARES = (0.0, 0.125, 0.25, 0.5, 0.75, 0.875)
+LOBE_SHARES = (0.0, 0.25, 0.5, 0.75, 0.875)
 
 
 class DirectLight(Integrand):
@@ -41,6 +41,9 @@ class DirectLight(Integrand):
             **light_defines(scene),
             **scattering_defines(scene),
         }
+
+    def point_kernel(self, scene: Scene) -> str | None:
+        return "find_lobe_shares" if scattering_defines(scene)["HAS_SPECULAR"] else None
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:
         # Cosines times distances are affine on a light, so their signs at its corners decide. They are
