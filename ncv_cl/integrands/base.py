@@ -63,7 +63,7 @@ class Integrand(ABC):
             )
 
     def point_kernel(self, scene: Scene) -> str | None:
-        """The kernel of `files`, if there is one, that adds to every shading point what its samples share.
+        """The kernel of `files`, if any, that adds to every shading point what its samples share.
 
         It takes the numbers of active points and of all, their `surface`, and `data`.
         """
