@@ -119,7 +119,7 @@ def test_a_fork_of_somebody_who_used_pyopencl_gets_the_error_as_well(run):
     said = run("""
 import os
 import pyopencl
-from ncv_cl.runtimes import loaded_libraries
+from ncv_cl.opencl.runtimes import loaded_libraries
 
 def forked():
     child = os.fork()
