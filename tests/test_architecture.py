@@ -104,13 +104,14 @@ def test_no_folder_is_crowded_and_no_file_is_long():
         assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, path
 
 
-def test_kernels_lie_in_the_folder_of_a_module_that_names_them():
+def test_every_kernel_file_is_used_and_not_before_its_folder():
     assert len({kernel.stem for kernel in KERNELS}) == len(KERNELS)
     for kernel in KERNELS:
         # A name may be put together from a prefix and an option.
         prefix = kernel.stem.split("_")[0] + "_"
-        users = {m for m in MODULES if {kernel.stem, prefix} & strings(MODULES[m])}
-        assert kernel.parent.name in {folder(m) for m in users}, kernel
+        users = {folder(m) for m in MODULES if {kernel.stem, prefix} & strings(MODULES[m])}
+        assert users, kernel
+        assert users <= {*FOLDERS[FOLDERS.index(kernel.parent.name) :], "cli"}, kernel
     for name, integrand in INTEGRANDS.items():
         assert integrand.files[-1] == name
 

@@ -50,7 +50,7 @@ def learning_case(device, residual, features=7, points=POINTS, samples=SAMPLES):
         *(HostArray.of(device, array) for array in (u, v, target)),
         SimpleNamespace(features=HostArray.of(device, feature), stride=stride),
     )
-    settings = DensitySettings(columns=128, samples_a_step=8, most_passes=16)
+    settings = DensitySettings(columns=128, samples_a_step=8, most_epochs=16)
     trainer = DensityTrainer(device, network, stored, None, settings)
     return trainer, feature[:, :points], u[:, :points], v[:, :points], target[:, 0, :points]
 

@@ -17,7 +17,8 @@ from ncv_cl.learning.budget import MOST_SAMPLES, TRAINING_PASS, Round, pays, pla
 from ncv_cl.learning.held_out import HeldOut
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.callable import CallableSource, HostIntegrand, _points_of
+from ncv_cl.rendering.estimate import _points_of
+from ncv_cl.sampling.callable import CallableSource, HostIntegrand
 from ncv_cl.sampling.samples import NO_RAY, SEEN, SampleSource
 from ncv_cl.settings.settings import RenderSettings, Stopwatch
 
