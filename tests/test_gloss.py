@@ -24,10 +24,10 @@ from reference import (
 )
 
 from ncv_cl import GlobalIllumination, render
-from ncv_cl.choose import choose_device
 from ncv_cl.integrands import DirectLight, direct
-from ncv_cl.samples import NO_RAY
-from ncv_cl.scene import load_scene
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.sampling.samples import NO_RAY
+from ncv_cl.scene.load import load_scene
 
 FLOOR = quad([-10, 0, -10], [0, 0, 20], [20, 0, 0])
 CAMERA = camera_at([0, 1.5, 4], [0, 0, 0.5], 35)
@@ -187,8 +187,8 @@ def half_vector_density(normal, outgoing, incident, roughness):
 def traced_radiance(scene, point, side, generator):
     """One estimate of a point's reflected radiance, (3,): half vectors and areas of lights, jittered.
 
-    The first triangle that a direction meets says which light it counts for, wherever it comes from; both
-    ways to find that light weigh it.
+    The first triangle that a direction meets says which light it counts for, wherever it comes from;
+    both ways to find that light weigh it.
     """
     position, normal, outgoing = point
     material = scene.materials[0]
@@ -373,7 +373,7 @@ def test_occluders_and_embree_agree(device, scenes):
 
 
 def test_variances_are_those_of_the_better_of_light_and_lobe(device, scenes, monkeypatch):
-    """Veach's plates, in four parts each. Second moments, as what the other keeps costs a part of them."""
+    """Veach's plates, in four parts each. Second moments, of which what the other keeps costs a part."""
     scene = load_scene(scenes / "veach_plates.toml")
     rule, found = direct.LOBE_SHARES, {}
     for name, shares in {"lights": (0.0,), "lobe": (1.0,), "both": rule}.items():
