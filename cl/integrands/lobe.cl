@@ -10,7 +10,8 @@
  * The share is one of LOBE_SHARES, multiples of 1/8 so that strips stay on the dyadic grid, and alike for all samples
  * of a point. It is the one that makes a guess of the estimate's second moment least, integral f^2 / density: of each
  * light two regions are taken, that where the lobe is largest on it, and the rest, as its middle. Without a lobe there is
- * no strip, nor where the lobe is nowhere much larger than what a light's own samples follow.
+ * no strip, nor where it gains little (LOBE_GAIN) and the lobe is nowhere much denser than a light's own samples
+ * (LOBE_NEED).
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_lobe_shares is one work-item a
  * point; the rest are functions of private values.
@@ -90,7 +91,7 @@ float lobe_share_of_square(global const float *restrict lights, global const flo
     guess_places(lights, record, position, mirrored, &middle, &nearest);
     const LightGuess rest = guess_light(lights, record, width, s, position, middle);
     const LightGuess peak = guess_light(lights, record, width, s, position, nearest);
-    needed = needed || ANY(here && (peak.lobe > peak.light));
+    needed = needed || ANY(here && (peak.lobe > LOBE_NEED * peak.light));
     /* A region of about the lobe's density where it is largest, had it the middle there or its tail. */
     const real alpha = s->roughness * s->roughness;
     const real region = min(alpha * sqrt(4.0f * M_PI_F / max(peak.lobe, (real)1e-30f)), peak.solid_angle);
@@ -108,7 +109,7 @@ float lobe_share_of_square(global const float *restrict lights, global const flo
   uint best = 0;
   float least = needed && shares[0] == 0.0f ? INFINITY : moment[0];
   for (uint k = 1; k < LOBE_SHARE_COUNT; ++k)
-    if (moment[k] < least) {
+    if (moment[k] < least && (needed || shares[0] > 0.0f || moment[k] * LOBE_GAIN < moment[0])) {
       least = moment[k];
       best = k;
     }
