@@ -364,6 +364,13 @@ def test_narrow_lobes_before_large_lights_have_the_most(device, light, roughness
     assert least <= share.min() and share.max() <= most
 
 
+def test_a_dim_light_in_the_mirror_has_the_lobe_however_bright_another(device):
+    bright = light_at([-1, 3, 1], [2, 0, 0], [0, 0, 2], 1e3)
+    scene = mesh_scene(FLOOR, camera_at([0, 0.8, 2], [0, 0, 0], 10), (LARGE, bright), (glossy(0.05),))
+    points, _, _ = sampling(device, scene, DirectLight(), (6, 5), 4)
+    assert points.rows("lobe_share")[0, : points.active].all()
+
+
 def test_occluders_and_embree_agree(device, scenes):
     images = [
         render(
