@@ -1,8 +1,8 @@
 """What the lobe's share of direct light's square follows: prints the numbers behind LOBE_* again.
 
 First, by independent samples on Veach's plates, each in four parts: variance, and second moment, by the
-lights' samples alone, by the lobe's, by halves, and by the rule, over the better of the first two. Then the
-mean square error of glossy pictures under Sobol points, by choices of the rule's constants.
+lights' samples alone, by the lobe's, by halves, and by the rule, over the better of the first two. Then
+the mean square error of glossy pictures under Sobol points, by choices of the rule's constants.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def plates(spp: int, size: tuple[int, int]) -> None:
     variance = {k: spp * image.variance.mean(axis=-1) for k, image in images.items()}
     moment = {k: variance[k] + (image.pixels**2).mean(axis=-1) for k, image in images.items()}
     layers = images["shipped"].layers
-    metal = (layers["albedo"].max(axis=-1) == 0) & (np.abs(layers["N"]).max(axis=-1) > 0)
-    # Each plate has a normal of its own: from rough to smooth they are steeper.
+    # Each plate has a normal of its own: from rough to smooth they are steeper. Lights look down.
     tilt = np.round(layers["N"][..., 1], 3)
+    metal = (layers["albedo"].max(axis=-1) == 0) & (tilt > 0)
     quarter = np.arange(size[0]) * 4 // size[0]
     print("plates: variance and second moment over the better of lights and lobe")
     for plate in np.unique(tilt[metal]):

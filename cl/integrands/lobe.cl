@@ -100,8 +100,8 @@ float lobe_share_of_square(global const float *restrict lights, global const flo
     const real of_rest = left * rest.amount * rest.amount;
     for (uint k = 0; k < LOBE_SHARE_COUNT; ++k) {
       const float share = shares[k];
-      const real density = FMA((real)share, peak.lobe - peak.light, peak.light);
-      const real density_rest = FMA((real)share, rest.lobe - rest.light, rest.light);
+      const real density = FMA((real)share, peak.lobe, (1.0f - share) * peak.light);
+      const real density_rest = FMA((real)share, rest.lobe, (1.0f - share) * rest.light);
       moment[k] += sum_lanes(SELECT((real)0.0f, of_peak / max(density, (real)1e-30f) +
                                                     of_rest / max(density_rest, (real)1e-30f), here));
     }
