@@ -213,7 +213,7 @@ class HighWater:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """While the block lasts, stages that a `Stopwatch` times are watched."""
-        from ncv_cl.settings.settings import Stopwatch
+        from ncv_cl.host.clock import Stopwatch
 
         timed = Stopwatch.__call__
         watch = self

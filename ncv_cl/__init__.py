@@ -17,23 +17,29 @@ from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
 from .rendering.split import render_split
 from .scene.load import Material, Scene, SceneError, load_scene
+from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
     "AmbientOcclusion",
     "Device",
     "DeviceError",
     "DirectLight",
+    "Files",
     "GlobalIllumination",
     "Image",
     "Integrals",
     "Integrand",
     "IntegrandError",
+    "Machine",
     "Material",
     "Network",
     "NetworkError",
+    "Sampling",
     "Scene",
     "SceneError",
+    "Stopping",
     "Subdivision",
+    "Training",
     "choose_device",
     "devices",
     "draw_subdivision",
