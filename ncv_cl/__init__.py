@@ -14,12 +14,15 @@ from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integ
 from .integrate import integrate
 from .network import Network, NetworkError
 from .render import render
-from .scene import Material, Scene, SceneError, load_scene
+from .scene import Camera, Material, QuadLight, Scene, SceneError, load_scene
+from .scene_build import build_scene
+from .scene_data import TriangleMesh
 from .split import render_split
 from .subdivide import Subdivision, draw_subdivision, subdivide
 
 __all__ = [
     "AmbientOcclusion",
+    "Camera",
     "Device",
     "DeviceError",
     "DirectLight",
@@ -31,9 +34,12 @@ __all__ = [
     "Material",
     "Network",
     "NetworkError",
+    "QuadLight",
     "Scene",
     "SceneError",
     "Subdivision",
+    "TriangleMesh",
+    "build_scene",
     "choose_device",
     "devices",
     "draw_subdivision",

@@ -191,13 +191,13 @@ def polygon_irradiance(corners: np.ndarray, position: np.ndarray, normal: np.nda
 
 
 def camera_at(position: object, target: object, fov: float = 40.0, up: object = (0, 1, 0)) -> Camera:
-    vectors = (np.asarray(vector, np.float64) for vector in (position, target, up))
-    return Camera(*vectors, fov)
+    position, target, up = (np.asarray(vector, np.float64) for vector in (position, target, up))
+    return Camera(position, target, fov, up=up)
 
 
 def grey(albedo: object = 0.5, reflectance: object = 0.0, roughness: float = 1.0) -> Material:
     colours = (np.array(np.broadcast_to(colour, 3), np.float32) for colour in (albedo, reflectance))
-    return Material("grey", *colours, roughness)
+    return Material(*colours, roughness, name="grey")
 
 
 def light_at(corner: object, edge1: object, edge2: object, radiance: object = 1.0, two_sided=False):
