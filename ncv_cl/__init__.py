@@ -13,6 +13,7 @@ from .image import Image
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .integrate import integrate
 from .network import Network, NetworkError
+from .program import KernelText
 from .render import render
 from .scene import Camera, Material, QuadLight, Scene, SceneError, load_scene
 from .scene_build import build_scene
@@ -31,6 +32,7 @@ __all__ = [
     "Integrals",
     "Integrand",
     "IntegrandError",
+    "KernelText",
     "Material",
     "Network",
     "NetworkError",

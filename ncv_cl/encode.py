@@ -9,14 +9,12 @@ import numpy as np
 
 from .device import Device, HostArray
 from .files import some_of, whole_number
-from .points import ShadingPoints, surface_defines
+from .points import INPUTS, ShadingPoints, surface_defines
 from .program import Program, build
 
 # Shading points that extend over less than this part of the scene have a grid of their own; the part of
 # them that may lie outside it, to each side.
 SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
-# Components that each input has before its encoding, in feature order.
-INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 # What the kernels can hold: vectors of so many features, indices of 32 bits.
 ENTRY_FEATURES = (1, 2, 4, 8, 16)
 MOST_CELLS = 1 << 30

@@ -24,7 +24,8 @@ from .files import check_paths
 from .first_pass import first_samples, predict_from_first_pass, predict_without
 from .guide import Guide
 from .image import Image, checked_reference
-from .integrands import INTEGRANDS, Integrand
+from .integrands import Integrand
+from .integrands.named import named_integrand
 from .keep import Keep
 from .learn import Learned, learn
 from .network import Network
@@ -76,8 +77,9 @@ def render(
     ----------
     scene : Scene, str or Path
         A scene, or the path of its TOML file.
-    integrand : {"ao", "direct", "gi"} or Integrand
-        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options.
+    integrand : {"ao", "direct", "gi"}, str or Integrand
+        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options,
+        and may be of a class of your own (docs/python.md), which ``FILE.py:CLASS`` names as well.
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or after a first pass of plain Monte Carlo whichever
         is predicted to reach the error of the latter sooner.
@@ -152,15 +154,15 @@ def render(
         networks that do not fit, `CheckpointError` for checkpoints of other renders).
     DeviceError
         If there is no such OpenCL device.
+    RuntimeError
+        If a kernel of one's own does not compile; says file, line and what the compiler said.
     """
     started = time.perf_counter()
     check_paths({"checkpoint": checkpoint, "save_network": save_network})
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
     if isinstance(integrand, str):
-        if integrand not in INTEGRANDS:
-            raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
-        integrand = INTEGRANDS[integrand]()
+        integrand = named_integrand(integrand)
     if not isinstance(integrand, Integrand):
         raise ValueError(f"integrand must be a name or an Integrand, got {integrand!r}")
     settings = RenderSettings(

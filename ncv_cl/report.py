@@ -140,7 +140,8 @@ def identity(
         "version": package_version(),
         "scene": scene.digest,
         "integrand": settings.integrand.name,
-        "integrand options": {k: str(v) for k, v in sorted(vars(settings.integrand).items())},
+        "integrand options": {k: str(v) for k, v in sorted(settings.integrand.options.items())},
+        "integrand's hash": settings.integrand.digest(scene),
         "method": settings.method,
         "sampler": settings.sampler,
         "spp": settings.spp,
@@ -168,7 +169,7 @@ def metadata(
     before: Estimate | None,
 ) -> dict[str, object]:
     """What image files carry: enough to render them again."""
-    return {
+    found: dict[str, object] = {
         "version": package_version(),
         "scene": scene.name,
         "scene_digest": scene.digest,
@@ -182,9 +183,10 @@ def metadata(
         "supersample": settings.supersample,
         "seed": settings.seed,
         "device": device.identity,
-        # Options of the integrand; without an entry: none.
-        **{k: v for k, v in vars(settings.integrand).items() if v is not None and v != math.inf},
     }
+    # Options of the integrand; without an entry: none.
+    options = settings.integrand.options.items()
+    return found | {k: v for k, v in options if k not in found and v is not None and v != math.inf}
 
 
 def _mean_samples(estimate: Estimate | None) -> float:
