@@ -6,20 +6,21 @@ exact, and Monte Carlo estimates what it leaves.
 
 from __future__ import annotations
 
-from .choose import choose_device, devices
-from .custom import Integrals, estimate
-from .device import Device, DeviceError
-from .image import Image
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
-from .integrate import integrate
-from .network import Network, NetworkError
-from .program import KernelText
-from .render import render
-from .scene import Camera, Material, QuadLight, Scene, SceneError, load_scene
-from .scene_build import build_scene
-from .scene_data import TriangleMesh
-from .split import render_split
-from .subdivide import Subdivision, draw_subdivision, subdivide
+from .integration.integrate import integrate
+from .integration.subdivide import Subdivision, draw_subdivision, subdivide
+from .network.network import Network, NetworkError
+from .opencl.choose import choose_device, devices
+from .opencl.device import Device, DeviceError
+from .opencl.program import KernelText
+from .output.image import Image
+from .rendering.estimate import Integrals, estimate
+from .rendering.render import render
+from .rendering.split import render_split
+from .scene.build import build_scene
+from .scene.load import load_scene
+from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .scene.table import SceneError
 
 __all__ = [
     "AmbientOcclusion",

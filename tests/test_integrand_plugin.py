@@ -11,12 +11,13 @@ from reference import camera_at, grey, mesh_scene, quad, sampling, shadowed_valu
 from test_clang import CLANG, diagnostics
 
 import ncv_cl as ncv
-from ncv_cl import IntegrandError, KernelText, program
-from ncv_cl.checkpoint import CheckpointError
+from ncv_cl import IntegrandError, KernelText
 from ncv_cl.cli import main
 from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.integrands.named import named_integrand
-from ncv_cl.program import kernel_folder
+from ncv_cl.opencl import program
+from ncv_cl.opencl.program import kernel_files
+from ncv_cl.output.checkpoint import CheckpointError
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "my_integrand"
 SKY = f"{EXAMPLE / 'sky.py'}:Sky"
@@ -157,7 +158,7 @@ def test_the_command_line_renders_what_python_does(one_device, scenes, tmp_path,
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_a_copy_of_a_shipped_integrand_gives_its_bits(one_device, scenes, tmp_path, method):
     """With lights' records, occluder lists, and shipped kernel files before its own."""
-    shutil.copy(next(kernel_folder().rglob("direct.cl")), tmp_path / "copy.cl")
+    shutil.copy(kernel_files()["direct"], tmp_path / "copy.cl")
     code = 'import ncv_cl\nclass Mine(ncv_cl.DirectLight):\n    files = ("bsdf", "lights", "copy.cl")\n'
     name = write(tmp_path, code=code)
     pictures = [

@@ -11,8 +11,8 @@ from trimesh.transformations import translation_matrix
 
 import ncv_cl as ncv
 from ncv_cl import Camera, Material, QuadLight, SceneError, TriangleMesh, build_scene, load_scene
-from ncv_cl.meshes import read_meshes
-from ncv_cl.scene import tomllib
+from ncv_cl.scene.load import tomllib
+from ncv_cl.scene.meshes import read_meshes
 
 FLOOR = np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]])

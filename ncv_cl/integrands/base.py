@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..files import some_of
-from ..points import INPUTS, ShadingPoints
-from ..program import KernelFile, KernelText, kernel_folder, source
-from ..scene import Scene
+from ..host.files import some_of
+from ..opencl.program import KernelFile, KernelText, kernel_files, source
+from ..points.points import INPUTS, ShadingPoints
+from ..scene.load import Scene
 
 # What a pixel can be made of.
 CHANNELS = (1, 3)
@@ -149,7 +149,7 @@ class Integrand:
         if not isinstance(file, (str, Path)):
             raise IntegrandError(f"{own}.files: a name, a path or a KernelText is needed, not {file!r}")
         if Path(file).suffix != ".cl":
-            if not (kernel_folder() / f"{file}.cl").is_file():
+            if str(file) not in kernel_files():
                 raise IntegrandError(
                     f"{own}.files: the package has no kernel file {str(file)!r}, and those of your own "
                     "end in .cl"
