@@ -333,6 +333,7 @@ def test_an_object_of_a_file_may_be_named(tmp_path):
         ({"data": lambda self, scene: np.ones(3)}, "must return an array of float32, returned float64"),
         ({"data": lambda self, scene: [1, 2]}, "must return an array of float32, returned list"),
         ({"defines": lambda self, scene: {"A": 1}}, "super().defines(scene) does"),
+        ({"defines": lambda self, scene: {"CHANNELS": 1, "VEC": 4}}, "the name VEC is taken"),
         (
             {"files": (KernelText("empty.cl", "/* void evaluate_integrand( */"),)},
             "empty.cl: void evaluate",

@@ -12,11 +12,13 @@ import numpy as np
 
 from ..host.files import some_of
 from ..opencl.program import KernelFile, KernelText, kernel_files, source
-from ..points.points import INPUTS, ShadingPoints
+from ..points.points import INPUTS, ShadingPoints, surface_defines
 from ..scene.load import Scene
 
 # What a pixel can be made of.
 CHANNELS = (1, 3)
+# Constants that every integrand's program has from elsewhere.
+TAKEN = {"VEC", "LANES", "USE_FMA", *surface_defines()}
 # The kernel function that makes a file an integrand's.
 FUNCTION = "evaluate_integrand"
 
@@ -105,6 +107,8 @@ class Integrand:
                 f"{own}.defines must return what super().defines(scene) does, and may add to it: "
                 "CHANNELS is missing"
             )
+        if taken := sorted(TAKEN & set(defines)):
+            raise IntegrandError(f"{own}.defines: the name {taken[0]} is taken, choose another")
         largest = [float(np.max(light.radiance)) * light.area for light in scene.lights]
         finite = np.isfinite(data).all() and np.isfinite(np.array(largest, np.float32)).all()
         if "LIGHT_COUNT" in defines and not finite:
