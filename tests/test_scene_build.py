@@ -251,7 +251,8 @@ def test_degenerate_triangles_are_dropped_with_a_warning():
 def test_coarse_coordinates_are_warned_about():
     far = FLOOR + np.array([3e6, 0, 0])
     camera = Camera((3e6, 1, 5), (3e6, 0, 0), 40)
-    with pytest.warns(UserWarning, match=r"meshes\[0\].vertices: .* coarse; give them in double"):
-        built(camera=camera, meshes=[TriangleMesh(far.astype(np.float32), TWO, "grey")], lights=[])
+    for dtype in ("<f4", ">f4"):
+        with pytest.warns(UserWarning, match=r"meshes\[0\].vertices: .* coarse; give them in double"):
+            built(camera=camera, meshes=[TriangleMesh(far.astype(dtype), TWO, "grey")], lights=[])
     # The same numbers in double precision are not coarse: they are known to be what they say.
     assert built(camera=camera, meshes=[TriangleMesh(far, TWO, "grey")], lights=[]).warnings == ()

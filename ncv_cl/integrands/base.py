@@ -105,7 +105,7 @@ class Integrand:
         if not isinstance(defines, dict) or defines.get("CHANNELS") != self.channels:
             raise IntegrandError(
                 f"{own}.defines must return what super().defines(scene) does, and may add to it: "
-                "CHANNELS is missing"
+                f"CHANNELS must be {self.channels}"
             )
         if taken := sorted(TAKEN & set(defines)):
             raise IntegrandError(f"{own}.defines: the name {taken[0]} is taken, choose another")

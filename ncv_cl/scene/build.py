@@ -72,7 +72,8 @@ def build_scene(
     assembly = Assembly(_SOURCE, read_camera(root), read_materials(root))
     for table in root.tables("meshes", [field.name for field in fields(TriangleMesh)]):
         mesh, material = _mesh(table), assembly.named_material(table)
-        is_single = np.asarray(table.raw("vertices")).dtype in (np.float16, np.float32)
+        dtype = np.asarray(table.raw("vertices")).dtype
+        is_single = dtype.kind == "f" and dtype.itemsize <= np.dtype(np.float32).itemsize
         assembly.add(table, "vertices", mesh, material, _COARSE if is_single else "")
     add_lights(root, assembly)
     if assembly.is_empty:
