@@ -19,6 +19,7 @@ from .host.interrupt import StopOnSignal
 from .host.version import package_version
 from .integrands import INTEGRANDS, AmbientOcclusion, GlobalIllumination, Integrand
 from .integrands.ao import MAPPINGS
+from .integrands.named import named_integrand
 from .integration.certificate import PRECISIONS
 from .integration.integrate import integrate
 from .integration.integrator import METHODS as INTEGRATION_METHODS
@@ -77,7 +78,13 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
     )
     add = parser.add_argument
     add("scene", help="scene file (.toml)")
-    add("--integrand", choices=sorted(INTEGRANDS), default="direct", help="what to integrate")
+    add(
+        "--integrand",
+        type=_integrand_name,
+        default="direct",
+        metavar="NAME",
+        help=f"what to integrate: {', '.join(sorted(INTEGRANDS))}, or your own class, FILE.py:CLASS",
+    )
     add(
         "--method",
         choices=METHODS,
@@ -220,13 +227,22 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def _integrand_name(text: str) -> str:
+    if text not in INTEGRANDS and ":" not in text:
+        known = ", ".join(sorted(INTEGRANDS))
+        raise argparse.ArgumentTypeError(
+            f"invalid choice: {text!r} (choose from {known}, or a class of your own, FILE.py:CLASS)"
+        )
+    return text
+
+
 def _integrand(options: argparse.Namespace) -> Integrand:
     if options.integrand == AmbientOcclusion.name:
         given = {name: getattr(options, name) for name in ("radius", "mapping")}
         return AmbientOcclusion(**{k: v for k, v in given.items() if v is not None})
     if options.integrand == GlobalIllumination.name:
         return GlobalIllumination(options.max_depth, clamp=options.clamp)
-    return INTEGRANDS[options.integrand]()
+    return named_integrand(options.integrand)
 
 
 def _check_render(options: argparse.Namespace) -> None:

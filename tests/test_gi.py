@@ -22,8 +22,10 @@ CAMERA = camera_at([0.1, 0.2, 0.4], [-0.3, -0.4, -1], 60)
 
 
 def glowing(albedo, emission, reflectance=0.0, roughness=1.0):
-    colours = (np.array(np.broadcast_to(c, 3), np.float32) for c in (albedo, reflectance))
-    return Material("glowing", *colours, roughness, np.array(np.broadcast_to(emission, 3), np.float32))
+    albedo, reflectance, emission = (
+        np.array(np.broadcast_to(c, 3), np.float32) for c in (albedo, reflectance, emission)
+    )
+    return Material(albedo, reflectance, roughness, emission, name="glowing")
 
 
 def closed_box(material, lights=()):

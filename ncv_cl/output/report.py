@@ -145,7 +145,8 @@ def identity(
         "version": package_version(),
         "scene": scene.digest,
         "integrand": settings.integrand.name,
-        "integrand options": {k: str(v) for k, v in sorted(vars(settings.integrand).items())},
+        "integrand options": {k: str(v) for k, v in sorted(settings.integrand.options.items())},
+        "integrand's hash": settings.integrand.digest(scene),
         "method": settings.method,
         "spp": settings.spp,
         "size": settings.size,
@@ -167,23 +168,24 @@ def metadata(
     before: Estimate | None,
 ) -> dict[str, object]:
     """What image files carry: enough to render them again."""
-    options = settings.options("sampling", "training", "stopping")
-    return {
+    chosen = settings.options("sampling", "training", "stopping")
+    found: dict[str, object] = {
         "version": package_version(),
         "scene": scene.name,
         "scene_digest": scene.digest,
         "integrand": settings.integrand.name,
         "method": settings.method,
         # Options without an entry have no value: none, or what the preset says.
-        **{name: value for name, value in options.items() if value is not None},
+        **{name: value for name, value in chosen.items() if value is not None},
         "density": settings.residual_density,
         "allocation": settings.allocation,
         "spp": _mean_samples(drawn),
         "train_spp": _mean_samples(before),
         "seed": settings.seed,
         "device": device.identity,
-        **{k: v for k, v in vars(settings.integrand).items() if v is not None and v != math.inf},
     }
+    options = settings.integrand.options.items()
+    return found | {k: v for k, v in options if k not in found and v is not None and v != math.inf}
 
 
 def _mean_samples(estimate: Estimate | None) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 from ..estimation.control_variate import Trained
 from ..host.clock import Clock, Run, never
 from ..host.files import check_paths
-from ..integrands import INTEGRANDS, Integrand
+from ..integrands import Integrand
+from ..integrands.named import named_integrand
 from ..learning.density import DensityNetwork
 from ..network.network import Network
 from ..opencl.choose import choose_device
@@ -51,8 +52,9 @@ def render(
     ----------
     scene : Scene, str or Path
         A scene, or the path of its TOML file.
-    integrand : {"ao", "direct", "gi"} or Integrand
-        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options.
+    integrand : {"ao", "direct", "gi"}, str or Integrand
+        Ambient occlusion, direct light or global illumination; an `Integrand` object carries options,
+        and may be of a class of your own (docs/python.md), which ``FILE.py:CLASS`` names as well.
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or by a rule whichever reaches an error sooner.
     spp : int
@@ -84,6 +86,8 @@ def render(
         For an option that does not exist.
     DeviceError
         If there is no such OpenCL device.
+    RuntimeError
+        If a kernel of one's own does not compile; says file, line and what the compiler said.
     """
     started = time.perf_counter()
     groups = gathered(
@@ -123,9 +127,7 @@ def render(
 def integrand_of(integrand: str | Integrand) -> Integrand:
     """An integrand by its name, or itself."""
     if isinstance(integrand, str):
-        if integrand not in INTEGRANDS:
-            raise ValueError(f"integrand must be one of {', '.join(INTEGRANDS)}, got {integrand!r}")
-        return INTEGRANDS[integrand]()
+        integrand = named_integrand(integrand)
     if not isinstance(integrand, Integrand):
         raise ValueError(f"integrand must be a name or an Integrand, got {integrand!r}")
     return integrand

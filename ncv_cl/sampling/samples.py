@@ -186,7 +186,7 @@ class SampleSource(Batches):
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
-        files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
+        files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
