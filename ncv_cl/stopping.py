@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 from .clock import Clock
 from .estimation import Estimation
-from .integrands import Integrand
-from .integrands.lights import strip_rows
+from .integrands import Integrand, lights
 from .scene import Scene
 
 # An error estimate is believed when so many samples of the image are to be expected on every light.
@@ -19,10 +18,7 @@ FEWEST_ON_A_LIGHT = 4096
 
 def smallest_strip(integrand: Integrand, scene: Scene) -> float:
     """The narrowest part of the unit square that one light has to itself; 1 without lights."""
-    if not integrand.defines(scene).get("LIGHT_COUNT"):
-        return 1.0
-    widths = strip_rows(scene.lights)[..., 1]
-    return float(widths[widths > 0].min(initial=1.0))
+    return lights.smallest_strip(scene) if integrand.defines(scene).get("LIGHT_COUNT") else 1.0
 
 
 class ErrorTarget:

@@ -27,7 +27,7 @@ class DirectLight(Integrand):
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)
-        return light_records(scene.lights)
+        return light_records(scene)
 
     def defines(self, scene: Scene) -> dict[str, int]:
         self._check(scene)
