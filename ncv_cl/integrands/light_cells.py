@@ -1,8 +1,8 @@
 """Cells of a scene, by place and by direction of the surface, and what lights can bring to each.
 
-Surfaces of one cell share how the unit square is dealt out to the lights (`lights`): a cell is a box of a
-regular grid, and of the surfaces in it those whose normal points along one of six directions most. What is
-said of a cell holds for every point of every triangle that reaches into it.
+Surfaces of one cell share how the unit square is dealt out to the lights (`lights`): a cell is a box of
+a regular grid, and of the surfaces in it those whose normal points along one of six directions most.
+What is said of a cell holds for every point of every triangle that reaches into it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene import QuadLight, Scene
+from ..scene.load import QuadLight, Scene
 
 DIRECTIONS = 6
 # Points of each cell's surfaces where lights are looked at from.
@@ -49,7 +49,7 @@ class Cells:
     middle, spread : float64 (cells, 3)
         Half the sum and half the difference of its normals' least and largest components.
     depth : float64 (cells,)
-        Least signed distance of its triangles' planes from the middle of the cell's box, along the normals.
+        Least distance, along the normal, of its triangles' planes from the middle of the cell's box.
     """
 
     lower: np.ndarray
@@ -168,7 +168,7 @@ class Lights:
 
 
 def may_light(cells: Cells, lights: Lights) -> np.ndarray:
-    """Which lights may light a point of which cell, bool (cells, lights): True wherever it is not certain.
+    """Which lights may light which cells, bool (cells, lights): True wherever that is not certain.
 
     A light must be above the surface, and the surface on a side of the light that shines; both hold
     somewhere if they do at a corner.
@@ -273,7 +273,7 @@ def _unit_normals(corners: np.ndarray) -> np.ndarray:
 
 
 def _sides(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both sides of all triangles: which, the sign of its normal, and a direction that it may count as."""
+    """Both sides of all triangles: which, its normal's sign, and a direction that it may count as."""
     size = np.abs(normals)
     along = size >= size.max(axis=1, keepdims=True) - _TIE
     triangle, axis = np.nonzero(along)

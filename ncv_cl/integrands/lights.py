@@ -7,8 +7,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..points import RELATIVE_OFFSET
-from ..scene import Scene
+from ..points.points import RELATIVE_OFFSET
+from ..scene.load import Scene
 from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
 LIGHT_FLOATS = 32
@@ -40,12 +40,13 @@ def strip_widths(brings: np.ndarray) -> np.ndarray:
 
     Notes
     -----
-    One half of the square is shared out by what lights bring, the other alike: so no light has less than
-    half of an equal share, however bright another is that may not even be seen. Lights that bring nothing
-    have none. Strips consist of whole steps, a power of two of them, 16 for up to 4 lights: at least 4 a
-    light, so that each has 2 or more when shares are rounded (by largest remainders). The first so many
-    Sobol points are spread evenly over dyadic intervals, so strips that begin and end on such a grid get
-    their share of points, and get them well spread; others do not. Float32 holds these numbers exactly.
+    `EQUAL_PART` of the square is shared out alike, the rest by what lights bring: so no light has less
+    than that part of an equal share, however bright another is that may not even be seen. Lights that
+    bring nothing have none. Strips consist of whole steps, a power of two of them, 16 for up to 4 lights:
+    at least 4 a light, so that each has one or more when shares are rounded (by largest remainders). The
+    first so many Sobol points are spread evenly over dyadic intervals, so strips that begin and end on
+    such a grid get their share of points, and get them well spread; others do not. Float32 holds these
+    numbers exactly.
     """
     # Where all is dark it does not matter, nor where float64 overflows, which is refused later.
     brings = np.nan_to_num(brings)
@@ -119,8 +120,9 @@ def _light_rows(scene: Scene) -> LightRows:
 
 
 def light_records(scene: Scene) -> np.ndarray:
-    """What lights.cl reads of the lights, float32 (floats,): their records; of two or more also the frame of
-    the cells, rows of strips, and the table of which cell has which row.
+    """What lights.cl reads of the lights, float32 (floats,).
+
+    Their records; of two or more also the frame of the cells, rows of strips, and each cell's row.
     """
     count = len(scene.lights)
     if not count:

@@ -1,0 +1,67 @@
+"""From a scene to what an image's samples are drawn with: traced points, and their source."""
+
+from __future__ import annotations
+
+from ..opencl.device import Device
+from ..points.points import ShadingPoints, find_points
+from ..points.trace import Tracer
+from ..sampling.paths import sample_source
+from ..sampling.samples import SampleSource
+from ..scene.load import Scene
+from ..settings.settings import RenderSettings, Stopwatch
+from ..visibility.shaft import Occluders
+
+
+def prepare(
+    device: Device,
+    scene: Scene,
+    settings: RenderSettings,
+    threads: int | None,
+    samples_a_pass: int,
+    watch: Stopwatch,
+) -> tuple[ShadingPoints, SampleSource]:
+    """Trace the camera's rays, and make ready to sample the points that they hit.
+
+    Parameters
+    ----------
+    threads : int, optional
+        Of the host, for tracing; all cores by default.
+    samples_a_pass : int
+        Samples a point that batches leave room for.
+    watch : Stopwatch
+        Gets the seconds of stages "scene", "points" and "shafts".
+    """
+    integrand = settings.integrand
+    with watch("scene"):
+        tracer = Tracer(scene, threads)
+    with watch("points"):
+        points = find_points(
+            device, scene, tracer, *settings.size, settings.supersample, integrand.emitters_active
+        )
+        points = _without_dark(scene, settings, points)
+    occluders = None
+    if integrand.to_lights and settings.visibility == "auto" and points.active:
+        with watch("shafts"):
+            occluders = Occluders(device, scene, points, integrand)
+    source = sample_source(
+        device,
+        scene,
+        tracer,
+        points,
+        integrand,
+        settings.sampler,
+        settings.seed,
+        samples_a_pass,
+        occluders,
+        shadows_tested=settings.visibility == "auto",
+    )
+    return points, source
+
+
+def _without_dark(scene: Scene, settings: RenderSettings, points: ShadingPoints) -> ShadingPoints:
+    """Points that cannot see a light are left out; all others keep their samples either way."""
+    dark = settings.integrand.dark(scene, points)
+    if dark is None:
+        return points
+    points = points.with_dark_last(dark)
+    return points.without_last(int(dark.sum())) if settings.skip_dark else points
