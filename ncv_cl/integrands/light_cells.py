@@ -7,7 +7,7 @@ What is said of a cell holds for every point of every triangle that reaches into
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +63,11 @@ class Cells:
     middle: np.ndarray
     spread: np.ndarray
     depth: np.ndarray
+
+    def only(self, chosen: np.ndarray) -> Cells:
+        """Those of the cells where `chosen` (cells,) is true."""
+        names = "number", "places", "normals", "lowest", "highest", "middle", "spread", "depth"
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
     def table_length(self) -> int:
@@ -223,7 +228,7 @@ def mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
         total += np.where(emitted > 0, found, 0.0)
     radiance = lights.radiance.mean(axis=1)
     # Beyond float64's range, which is refused later, nothing matters.
-    return np.nan_to_num(total * (radiance / max(radiance.max(), 1e-300)))
+    return np.nan_to_num(total * (radiance / (PLACES * max(radiance.max(), 1e-300))))
 
 
 def _of_large(

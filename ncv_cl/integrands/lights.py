@@ -42,11 +42,11 @@ def strip_widths(brings: np.ndarray) -> np.ndarray:
     -----
     `EQUAL_PART` of the square is shared out alike, the rest by what lights bring: so no light has less
     than that part of an equal share, however bright another is that may not even be seen. Lights that
-    bring nothing have none. Strips consist of whole steps, a power of two of them, 16 for up to 4 lights:
-    at least 4 a light, so that each has one or more when shares are rounded (by largest remainders). The
-    first so many Sobol points are spread evenly over dyadic intervals, so strips that begin and end on
-    such a grid get their share of points, and get them well spread; others do not. Float32 holds these
-    numbers exactly.
+    bring nothing have none. Strips consist of whole steps, a power of two of them, 16 for up to 4 lights
+    and at least 4 a light, so that each has one or more when shares are rounded (by largest remainders).
+    The first so many Sobol points are spread evenly over dyadic intervals, so strips that begin and end
+    on such a grid get their share of points, and get them well spread; others do not. Float32 holds
+    these numbers exactly.
     """
     # Where all is dark it does not matter, nor where float64 overflows, which is refused later.
     brings = np.nan_to_num(brings)

@@ -9,7 +9,7 @@ from ..sampling.paths import sample_source
 from ..sampling.samples import SampleSource
 from ..scene.load import Scene
 from ..settings.settings import RenderSettings, Stopwatch
-from ..visibility.shaft import Occluders
+from ..visibility.shaft import Occluders, shafts_pay
 
 
 def prepare(
@@ -40,7 +40,8 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    if integrand.to_lights and settings.visibility == "auto" and points.active:
+    looked_for = settings.visibility == "auto" and shafts_pay(scene)
+    if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
             occluders = Occluders(device, scene, points, integrand)
     source = sample_source(
