@@ -106,14 +106,12 @@ def _light_rows(scene: Scene) -> LightRows:
         cells for side in SIDES if len((cells := scene_cells(scene, side)).number) <= most or side == 1
     )
     may = may_light(cells, lights) & (lights.power > 0)
-    brings = mean_irradiance(cells, lights)
-    # Those that may light a cell but bring nothing to its places have their equal part.
-    brings = np.where(may, np.maximum(brings, 1e-30 * brings.max(axis=1, keepdims=True)), 0.0)
-    brings = np.where(
-        may.any(axis=1, keepdims=True) & ~(brings > 0).any(axis=1, keepdims=True), may, brings
-    )
     lit = may.any(axis=1)
-    widths, row = np.unique(strip_widths(brings[lit]), axis=0, return_inverse=True)
+    may, brings = may[lit], mean_irradiance(cells.only(lit), lights)
+    # Those that may light a cell but bring nothing to its places have their equal part.
+    most = brings.max(axis=1, keepdims=True, where=may, initial=0.0)
+    brings = np.where(may, np.maximum(brings, np.where(most > 0, 1e-30 * most, 1.0)), 0.0)
+    widths, row = np.unique(strip_widths(brings), axis=0, return_inverse=True)
     table = np.zeros(cells.table_length, np.int64)
     table[cells.number[lit]] = row.ravel() + 1
     return LightRows(np.concatenate([strip_widths(lights.power)[None], widths]), table, cells)
