@@ -32,6 +32,8 @@
 #define LIGHT_FRAME (LIGHT_COUNT * LIGHT_FLOATS)
 #define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
 #define ROW_FLOATS (STRIP_STEPS + 2 * LIGHT_COUNT)
+/* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
+#define INLINED __attribute__((always_inline))
 /* Of so many lights each is looked at for all samples at once; of more, every sample gathers its own's numbers. */
 #define SELECTED_LIGHTS 8
 
@@ -57,7 +59,7 @@ typedef struct {
 
 /* atan2(y, x) of y >= 0, which is not zero if x is, and below the sine and cosine of angles from 0 to pi: to a rounding
  * error or two of the largest results, for a third of what the built-in ones cost (Moshier 1992, Cephes). */
-real half_turn_angle(const real y, const real x) {
+INLINED real half_turn_angle(const real y, const real x) {
   const real low = min(y, fabs(x));
   const real high = max(y, fabs(x));
   const whole steep = low > 0.41421356f * high;
@@ -70,7 +72,7 @@ real half_turn_angle(const real y, const real x) {
   return SELECT(angle, M_PI_F - angle, x < 0.0f);
 }
 
-void half_turn_sincos(const real angle, real *sine, real *cosine) {
+INLINED void half_turn_sincos(const real angle, real *sine, real *cosine) {
   /* From the quarter's, doubled twice: as exact for small angles as these are. */
   const real a = 0.25f * angle;
   const real a2 = a * a;
@@ -87,7 +89,7 @@ void half_turn_sincos(const real angle, real *sine, real *cosine) {
 }
 
 /* The range of theta. */
-real view_angle(const LightView *view) {
+INLINED real view_angle(const LightView *view) {
   const real x1 = view->x0 + view->width;
   return half_turn_angle(view->z * view->width, FMA(view->z, view->z, view->x0 * x1));
 }
@@ -97,7 +99,7 @@ typedef struct {
   real squared, h[2], rest[2], range;
 } LightLine;
 
-LightLine light_line(const LightView *view, const real x, const real y) {
+INLINED LightLine light_line(const LightView *view, const real x, const real y) {
   LightLine line;
   line.squared = FMA(x, x, view->z * view->z);
   const real ends[2] = {y, y + view->length};
@@ -115,7 +117,7 @@ LightLine light_line(const LightView *view, const real x, const real y) {
 }
 
 /* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
-real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
+INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
   const real angle = view_angle(view);
   real sine, cosine;
   half_turn_sincos(u * angle, &sine, &cosine);
@@ -139,25 +141,41 @@ whole all_strips(global const float *restrict lights) {
   return (whole)FIRST_ROW;
 }
 
-/* Where the strips of surfaces with this geometric normal, on the side that is lit, begin. */
+#if LIGHT_COUNT > 1
+/* Where the strips of surfaces at (x, y, z) with this geometric normal, on the side that is lit, begin. One text for
+ * a shading point and for VEC hits. */
+#define DEFINE_STRIPS(name, number, integer, to_integer, choose, look_up)                                           \
+  integer name(global const float *restrict lights, const number x, const number y, const number z,                 \
+               const number normal_x, const number normal_y, const number normal_z) {                               \
+    global const float *restrict frame = lights + LIGHT_FRAME;                                                      \
+    const integer column = to_integer(clamp((x - frame[0]) * frame[3], (number)0.0f, (number)(frame[6] - 1.0f)));   \
+    const integer row = to_integer(clamp((y - frame[1]) * frame[4], (number)0.0f, (number)(frame[7] - 1.0f)));      \
+    const integer layer = to_integer(clamp((z - frame[2]) * frame[5], (number)0.0f, (number)(frame[8] - 1.0f)));    \
+    const number size_x = fabs(normal_x);                                                                           \
+    const number size_y = fabs(normal_y);                                                                           \
+    const number size_z = fabs(normal_z);                                                                           \
+    const integer along_x = (size_x >= size_y) && (size_x >= size_z);                                               \
+    const integer along_y = size_y >= size_z;                                                                       \
+    const number along = choose(choose(normal_z, normal_y, along_y), normal_x, along_x);                            \
+    const integer axis = choose(choose((integer)2, (integer)1, along_y), (integer)0, along_x);                      \
+    const integer direction = 2 * axis + choose((integer)0, (integer)1, along > 0.0f);                              \
+    const integer box = (layer * (int)frame[7] + row) * (int)frame[6] + column;                                     \
+    return FIRST_ROW + ROW_FLOATS * to_integer(look_up(lights, (int)frame[9] + 6 * box + direction));               \
+  }
+
+DEFINE_STRIPS(hit_strips, real, whole, TO_WHOLE, SELECT, gather)
+#if VEC == 1
+#define point_strips hit_strips
+#else
+#define CHOOSE(if_false, if_true, condition) ((condition) ? (if_true) : (if_false))
+#define LOOK_UP(array, at) (array)[at]
+DEFINE_STRIPS(point_strips, float, int, convert_int, CHOOSE, LOOK_UP)
+#endif
+#endif
+
 whole strips_of(global const float *restrict lights, const triple position, const triple normal) {
 #if LIGHT_COUNT > 1
-  global const float *restrict frame = lights + LIGHT_FRAME;
-  const whole x = TO_WHOLE(clamp((position.x - frame[0]) * frame[3], (real)0.0f, (real)(frame[6] - 1.0f)));
-  const whole y = TO_WHOLE(clamp((position.y - frame[1]) * frame[4], (real)0.0f, (real)(frame[7] - 1.0f)));
-  const whole z = TO_WHOLE(clamp((position.z - frame[2]) * frame[5], (real)0.0f, (real)(frame[8] - 1.0f)));
-  const real size_x = fabs(normal.x);
-  const real size_y = fabs(normal.y);
-  const real size_z = fabs(normal.z);
-  const whole along_x = (size_x >= size_y) && (size_x >= size_z);
-  const whole along_y = size_y >= size_z;
-  const real along = SELECT(SELECT(normal.z, normal.y, along_y), normal.x, along_x);
-  const whole axis = SELECT(SELECT((whole)2, (whole)1, along_y), (whole)0, along_x);
-  const whole direction = 2 * axis + SELECT((whole)0, (whole)1, along > 0.0f);
-  const int columns = (int)frame[6];
-  const int rows = (int)frame[7];
-  const whole cell = ((z * rows + y) * columns + x) * 6 + direction;
-  return FIRST_ROW + ROW_FLOATS * TO_WHOLE(gather(lights, (int)frame[9] + cell));
+  return hit_strips(lights, position.x, position.y, position.z, normal.x, normal.y, normal.z);
 #else
   (void)position;
   (void)normal;
@@ -166,11 +184,18 @@ whole strips_of(global const float *restrict lights, const triple position, cons
 }
 
 whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
-  return strips_of(lights, to_triple(p->position), to_triple(p->geometric_normal));
+#if LIGHT_COUNT > 1
+  const float3 x = p->position;
+  const float3 n = p->geometric_normal;
+  return (whole)point_strips(lights, x.x, x.y, x.z, n.x, n.y, n.z);
+#else
+  (void)p;
+  return all_strips(lights);
+#endif
 }
 
 /* The light that a row gives to u, as the place of its record; its strip. */
-whole light_at(global const float *restrict lights, const whole row, const real u, real *first, real *width) {
+INLINED whole light_at(global const float *restrict lights, const whole row, const real u, real *first, real *width) {
 #if LIGHT_COUNT > 1
   const whole step = min(TO_WHOLE(u * (float)STRIP_STEPS), (whole)(STRIP_STEPS - 1));
   const whole light = TO_WHOLE(gather(lights, row + step));
@@ -189,7 +214,7 @@ whole light_at(global const float *restrict lights, const whole row, const real 
 }
 
 /* Number `at` of the records of VEC lights. */
-real light_number(global const float *restrict lights, const whole record, const int at) {
+INLINED real light_number(global const float *restrict lights, const whole record, const int at) {
 #if LIGHT_COUNT <= SELECTED_LIGHTS
   real number = (real)lights[at];
 #pragma unroll
@@ -201,19 +226,19 @@ real light_number(global const float *restrict lights, const whole record, const
 #endif
 }
 
-triple light_triple(global const float *restrict lights, const whole record, const int at) {
+INLINED triple light_triple(global const float *restrict lights, const whole record, const int at) {
   return (triple){light_number(lights, record, at), light_number(lights, record, at + 1),
                   light_number(lights, record, at + 2)};
 }
 
 /* The light of a record about a position, `begin` being its corner from there. */
-LightView light_view(global const float *restrict lights, const whole record, const triple begin, const triple normal,
+INLINED LightView light_view(global const float *restrict lights, const whole record, const triple begin, const triple normal,
                      const triple across, const triple along) {
   return (LightView){fabs(dot_triple(begin, normal)), dot_triple(begin, across), light_number(lights, record, 27),
                      dot_triple(begin, along), light_number(lights, record, 28), light_number(lights, record, 26)};
 }
 
-LightSample sample_lights(global const float *restrict lights, const whole strips, const triple position,
+INLINED LightSample sample_lights(global const float *restrict lights, const whole strips, const triple position,
                           const triple origin, const real u, const real v) {
 #if LIGHT_COUNT == 0
   (void)lights;
