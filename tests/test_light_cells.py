@@ -27,7 +27,7 @@ from ncv_cl.integrands.lights import (
     light_defines,
     light_records,
     light_rows,
-    smallest_strip,
+    narrowest_strip,
     strip_widths,
 )
 from ncv_cl.opencl.device import HostArray
@@ -214,7 +214,7 @@ def test_rows_are_exact_in_single_precision_and_fit_their_memory(count):
     assert (single[:, -1].sum(axis=1) == 1).all()
     off = [not one.radiance.any() for one in scene.lights]
     assert not rows.widths[:, off].any() and rows.table.max() == len(rows.widths) - 1
-    assert smallest_strip(scene) == rows.widths[rows.widths > 0].min() > 0
+    assert narrowest_strip(scene) == rows.widths[rows.widths > 0].min() > 0
 
 
 def test_surfaces_that_no_light_reaches_have_the_row_of_power():

@@ -152,8 +152,8 @@ def light_defines(scene: Scene) -> dict[str, int]:
     }
 
 
-def smallest_strip(scene: Scene) -> float:
-    """The narrowest part of the unit square that one light has to itself."""
+def narrowest_strip(scene: Scene) -> float:
+    """The narrowest part of the unit square that one light has to itself; 1 without lights."""
     widths = light_rows(scene).widths if len(scene.lights) > 1 else np.ones((1, 1))
     return float(widths[widths > 0].min(initial=1.0))
 
