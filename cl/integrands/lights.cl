@@ -33,7 +33,9 @@
 #define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
 #define ROW_FLOATS (STRIP_STEPS + 2 * LIGHT_COUNT)
 /* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
+#ifndef INLINED
 #define INLINED __attribute__((always_inline))
+#endif
 /* Of so many lights each is looked at for all samples at once; of more, every sample gathers its own's numbers. */
 #define SELECTED_LIGHTS 8
 
