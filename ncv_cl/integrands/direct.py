@@ -41,17 +41,18 @@ class DirectLight(Integrand):
             for name in ("position", "normal", "geometric_normal")
         )
         heights = [(normal * position).sum(axis=0) for normal in normals]
-        dark = np.ones(position.shape[1], bool)
+        # Most points are lit by the first lights, and need not be asked about the others.
+        dark = np.arange(position.shape[1])
         for light in scene.lights:
             corners = _corners(light)
-            below = np.zeros_like(dark)
+            below = np.zeros(len(dark), bool)
             for normal, height in zip(normals, heights, strict=True):
-                below |= (corners @ normal).max(axis=0) <= height
+                below |= (corners @ normal[:, dark]).max(axis=0) <= height[dark]
             if not light.two_sided:
                 side = np.asarray(light.normal, np.float64)
-                below |= side @ position <= side @ np.asarray(light.corner, np.float64)
-            dark &= below
-        return dark
+                below |= side @ position[:, dark] <= side @ np.asarray(light.corner, np.float64)
+            dark = dark[below]
+        return np.isin(np.arange(position.shape[1]), dark)
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
