@@ -70,8 +70,7 @@ void guess_places(global const float *restrict lights, const whole record, const
 }
 
 /* The lobe's share of the point's square; lights in lanes. */
-float lobe_share_of_square(global const float *restrict lights, global const float *restrict strips,
-                           const ShadingPoint *p) {
+float lobe_share_of_square(global const float *restrict lights, const whole strips, const ShadingPoint *p) {
   const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
   const Scatterer surface = scatterer_of(p);
   const Scatterer *s = &surface;
@@ -85,7 +84,7 @@ float lobe_share_of_square(global const float *restrict lights, global const flo
   for (uint first = 0; first < LIGHT_COUNT; first += VEC) {
     const whole light = min(TO_WHOLE(LANE_NUMBER) + (int)first, (whole)(LIGHT_COUNT - 1));
     const whole record = light * LIGHT_FLOATS;
-    const real width = gather(strips, 2 * light + 1);
+    const real width = strip_width(lights, strips, record);
     const whole here = (TO_WHOLE(LANE_NUMBER) + (int)first < LIGHT_COUNT) && (width > 0.0f);
     triple middle, nearest;
     guess_places(lights, record, position, mirrored, &middle, &nearest);
@@ -128,7 +127,7 @@ kernel void find_lobe_shares(const uint point_count, const uint total_points, gl
 
 /* The lights that directions meet first. Their radiance is that of the light itself: nothing is divided by a density,
  * which is that of the light's strip. */
-LightSample lights_met(global const float *restrict lights, global const float *restrict strips, const triple position,
+LightSample lights_met(global const float *restrict lights, const whole strips, const triple position,
                        const triple origin, const triple direction) {
   real nearest = (real)MAXFLOAT;
   whole found = (whole)(-1);
@@ -156,7 +155,7 @@ LightSample lights_met(global const float *restrict lights, global const float *
   const real distance = SELECT((real)1.0f, nearest, sample.lit);
   const triple to = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real stands_for = light_stands_for(lights, record, position, to, max(facing, (real)1e-20f));
-  sample.density = gather(strips, 2 * light + 1) / max(stands_for, (real)1e-30f);
+  sample.density = strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
   sample.towards = direction;
   for (int channel = 0; channel < CHANNELS; ++channel) sample.radiance[channel] = gather(lights, record + 12 + channel);
   /* As in sample_lights. */
@@ -175,7 +174,7 @@ triple select_triple(const triple a, const triple b, const whole condition) {
 /* A point of the square: on a light, or in the lobe; `radiance` is then over the density of both. */
 LightSample sample_lights_and_lobe(global const float *restrict lights, const ShadingPoint *p, const Scatterer *s,
                                    const real u, const real v) {
-  global const float *restrict strips = strips_at(lights, p);
+  const whole strips = strips_at(lights, p);
   const triple position = to_triple(p->position);
   const triple origin = to_triple(ray_origin(p));
   const float share = p->lobe_share;

@@ -24,7 +24,7 @@ class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
 
     (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
-    as strips in u, see `lights.strip_rows`, so the integral stays two-dimensional.
+    as strips in u, see `lights.light_rows`, so the integral stays two-dimensional.
     """
 
     name = "direct"
@@ -37,7 +37,7 @@ class DirectLight(Integrand):
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)
-        return light_records(scene.lights)
+        return light_records(scene)
 
     def defines(self, scene: Scene) -> dict[str, int | str]:
         self._check(scene)
@@ -62,17 +62,18 @@ class DirectLight(Integrand):
             for name in ("position", "normal", "geometric_normal")
         )
         heights = [(normal * position).sum(axis=0) for normal in normals]
-        dark = np.ones(position.shape[1], bool)
+        # Most points are lit by the first lights, and need not be asked about the others.
+        dark = np.arange(position.shape[1])
         for light in scene.lights:
             corners = _corners(light)
-            below = np.zeros_like(dark)
+            below = np.zeros(len(dark), bool)
             for normal, height in zip(normals, heights, strict=True):
-                below |= (corners @ normal).max(axis=0) <= height
+                below |= (corners @ normal[:, dark]).max(axis=0) <= height[dark]
             if not light.two_sided:
                 side = np.asarray(light.normal, np.float64)
-                below |= side @ position <= side @ np.asarray(light.corner, np.float64)
-            dark &= below
-        return dark
+                below |= side @ position[:, dark] <= side @ np.asarray(light.corner, np.float64)
+            dark = dark[below]
+        return np.isin(np.arange(position.shape[1]), dark)
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
