@@ -21,7 +21,9 @@ SMALL_LIGHT = 1.0
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
 FEWEST_STEPS = 16
 STEPS_A_LIGHT = 4
-# Part of the unit square that all lights share alike.
+# Part of the unit square that all lights share alike: one step a light. With half of it the variance of
+# `interior` is 1.7 times as large and that of a hall of 1,000 lamps 2.4 times (bench_lights.py); with
+# less a light would be left out, or steps would be finer than those of few Sobol points.
 EQUAL_PART = 0.25
 # Boxes along a scene's longest extent, the most for which rows and what finds them fit.
 SIDES = (32, 16, 8, 4, 2, 1)
