@@ -20,6 +20,7 @@ from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
 from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
 from ncv_cl.settings.settings import Settings
 from ncv_cl.visibility.shaft import Occluders
+from ncv_cl.visibility.slices import Slices
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -308,6 +309,7 @@ def sampling(
     seed: int = 1,
     with_occluders: bool = False,
     shadows_tested: bool = False,
+    sliced: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded."""
     recorder = RayRecorder(Tracer(scene, threads=2))
@@ -315,7 +317,7 @@ def sampling(
     occluders = Occluders(device, scene, points, integrand) if with_occluders else None
     samples_of = sample_source(
         device, scene, recorder, points, integrand, sampler, seed, samples, occluders,
-        shadows_tested=shadows_tested,
+        slices=Slices(device, scene) if sliced else None, shadows_tested=shadows_tested,
     )  # fmt: skip
     return points, samples_of, recorder
 

@@ -17,6 +17,10 @@
  * (padding, Burley 2020), so that pairs are independent of each other. Philox's counter is then (bounce,
  * point, stream, 1), and (sample, point, stream, 4 * bounce + 2) for independent points.
  *
+ * Slices of the hemisphere (slices.cl) are samples of one dimension, v. With Sobol points sample_azimuths gives it the
+ * van der Corput sequence under one digital shift a (point, stream): 2^k samples from a multiple of 2^k on are
+ * equidistant, in any order, which for a periodic function is better than a point at random in each of as many parts.
+ *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
@@ -102,6 +106,19 @@ void sample_square(const uint point, const bits index, const uint stream, const 
   philox(state, seed_low, seed_high);
   *u = to_unit_interval(state[0]);
   *v = to_unit_interval(state[1]);
+#endif
+}
+
+/* The same for functions that hardly depend on u. */
+void sample_azimuths(const uint point, const bits index, const uint stream, const uint seed_low,
+                     const uint seed_high, real *u, real *v) {
+#if SAMPLER == SAMPLER_SOBOL
+  uint scramble[4] = {0u, point, stream, 1u};
+  philox_scalar(scramble, seed_low, seed_high);
+  *v = to_unit_interval(reverse_bits(index) ^ scramble[2]);
+  *u = to_unit_interval(reverse_bits(owen_hash(sobol_second_reversed(index), (bits)scramble[1])) ^ scramble[3]);
+#else
+  sample_square(point, index, stream, seed_low, seed_high, u, v);
 #endif
 }
 

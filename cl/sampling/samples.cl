@@ -12,6 +12,10 @@
  * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
  * or SEEN. The second word of `ray_count` counts them.
  *
+ * With SLICES (slices.cl joined before) a sample is a whole slice of the hemisphere at its v, and its value the exact
+ * integral over u of the integrand with visibility: an integrand that does not depend on u. A slice that is refused
+ * is sampled at its u by a ray; the third word of `ray_count` counts these.
+ *
  * With WARPED (warp.cl or warp_triangles.cl joined before) each point's samples follow its record in `density`,
  * and `weight` takes one over the density at each sample, by which its value counts.
  *
@@ -33,6 +37,10 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          const uint corner_stride, global const uint *restrict occluders,
                          global const float *restrict corners,
 #endif
+#if SLICES
+                         global const uint *restrict levels, global const float *restrict boxes,
+                         global const float *restrict triangles,
+#endif
                          global float *restrict u, global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
                          global float *restrict directions, global float *restrict distances,
@@ -51,6 +59,9 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   real distance[BLOCKS_A_ITEM];
   whole live[BLOCKS_A_ITEM];
   uint count = 0;
+#if SLICES
+  uint answered = 0;
+#endif
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
     const uint block = first_block + k * items_a_point;
     live[k] = (whole)0;
@@ -60,12 +71,28 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     const bits index = LANE_NUMBER + block * VEC;
     real sample_u, sample_v;
     real sample_value[CHANNELS];
+#if SLICES
+    sample_azimuths(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
+#else
     sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
+#endif
 #if WARPED
     global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
     STORE(warp_square(record, &sample_u, &sample_v), weight + at);
 #endif
+#if SLICES
+    const whole is_sample = (index < sample_count);
+    const whole refused = slice_integrals(&p, integrand_data[0], levels, boxes, triangles, is_sample, sample_v,
+                                          sample_value);
+    if (ANY(refused)) {
+      real at_u[CHANNELS];
+      evaluate_integrand(&p, integrand_data, sample_u, sample_v, at_u, direction[k], &distance[k]);
+      sample_value[0] = SELECT(sample_value[0], at_u[0], refused);
+      atomic_add(ray_count + 2, popcount(lane_mask(refused)));
+    }
+#else
     evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);
+#endif
     STORE(sample_u, u + at);
     STORE(sample_v, v + at);
     for (uint channel = 0; channel < CHANNELS; ++channel) {
@@ -73,8 +100,17 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
       live[k] = live[k] || (fabs(sample_value[channel]) > 0.0f);
       STORE(sample_value[channel], value + channel * plane + at);
     }
+#if SLICES
+    STORE(SELECT((bits)NO_RAY, (bits)SEEN, live[k]), slot + at);
+    answered += popcount(lane_mask(live[k] && !refused));
+    live[k] = live[k] && refused;
+#endif
     count += (uint)sum_lanes(SELECT((real)0.0f, (real)1.0f, live[k]));
   }
+#if SLICES
+  if (answered > 0) atomic_add(ray_count + 1, answered);
+  if (count == 0) return;
+#endif
 
   const float3 origin = ray_origin(&p);
 #if SHAFTS
@@ -102,7 +138,11 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     STORE(distance[k], ray[3]);
     STORE(live[k], is_live);
     for (uint lane = 0; lane < VEC; ++lane) {
+#if SLICES
+      uint own = slot[(ulong)local_point * stride + block * VEC + lane];
+#else
       uint own = NO_RAY;
+#endif
       if (is_live[lane] != 0) {
         own = next++;
         vstore3(origin, own, origins);

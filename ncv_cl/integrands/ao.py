@@ -29,6 +29,7 @@ class AmbientOcclusion(Integrand):
     inputs = ("position", "normal")
     demodulated = False
     emitters_active = True
+    sliced = True
 
     def __init__(self, radius: float = math.inf, mapping: str = "height") -> None:
         if not radius > 0:

@@ -13,6 +13,7 @@ from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.shaft import Occluders, shafts_pay
+from ..visibility.slices import Slices
 
 
 def prepare(
@@ -29,7 +30,7 @@ def prepare(
     threads : int, optional
         Of the host, for tracing; all cores by default.
     watch : Stopwatch
-        Gets the seconds of stages "scene", "points" and "shafts".
+        Gets the seconds of stages "scene", "points", "shafts" and "slices".
     """
     integrand = settings.integrand
     with watch("scene"):
@@ -45,10 +46,14 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    looked_for = settings.sampling.visibility == "auto" and shafts_pay(scene)
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
     if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
             occluders = Occluders(device, scene, points, integrand)
+    slices = None
+    if integrand.sliced and settings.sampling.visibility == "lines":
+        with watch("slices"):
+            slices = Slices(device, scene)
     source = sample_source(
         device,
         scene,
@@ -59,7 +64,8 @@ def prepare(
         settings.seed,
         SAMPLES_A_PASS,
         occluders,
-        shadows_tested=settings.sampling.visibility == "auto",
+        slices=slices,
+        shadows_tested=settings.sampling.visibility != "embree",
     )
     narrowest = 1.0
     if integrand.defines(scene).get("LIGHT_COUNT"):

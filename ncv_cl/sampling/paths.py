@@ -15,6 +15,7 @@ from ..points.sampler import sampler_defines
 from ..points.trace import Hits, Tracer
 from ..scene.load import Scene
 from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
+from ..visibility.slices import Slices
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .warp import Warp, warp_defines
@@ -43,13 +44,14 @@ def sample_source(
     points: ShadingPoints,
     integrand: Integrand,
     *rest: Any,
+    slices: Slices | None = None,
     shadows_tested: bool = False,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
     if integrand.nested:
         arguments = (device, scene, tracer, points, integrand, *rest)
         return PathSource(*arguments, shadows_tested=shadows_tested)
-    return SampleSource(device, scene, tracer, points, integrand, *rest)
+    return SampleSource(device, scene, tracer, points, integrand, *rest, slices=slices)
 
 
 class _Wave:

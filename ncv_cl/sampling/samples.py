@@ -15,6 +15,7 @@ from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
+from ..visibility.slices import Slices
 from .warp import Warp
 
 # Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
@@ -43,7 +44,9 @@ class RayCount:
     ----------
     traced, skipped : int
     on_device : int
-        Answered by testing a point's few occluders.
+        Answered by testing a point's few occluders, or whole slices.
+    off_lines : int
+        Samples whose slices have too many intervals, and which take rays.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
@@ -51,6 +54,7 @@ class RayCount:
     traced: int = 0
     skipped: int = 0
     on_device: int = 0
+    off_lines: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
 
@@ -152,6 +156,8 @@ class SampleSource(Batches):
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
         What decides visibility where it is known; by default embree decides all.
+    slices : Slices, optional
+        Samples are whole slices of the hemisphere; the integrand must be `sliced`.
     """
 
     def __init__(
@@ -165,6 +171,7 @@ class SampleSource(Batches):
         seed: int,
         samples_per_point: int,
         occluders: Occluders | None = None,
+        slices: Slices | None = None,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
         self._tracer = tracer
@@ -176,6 +183,7 @@ class SampleSource(Batches):
             **integrand.defines(scene),
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
+            "SLICES": int(slices is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
             "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
             "WARPED": 0,
@@ -186,6 +194,9 @@ class SampleSource(Batches):
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+        if slices is not None:
+            shaft, defines = ("slices",), {**defines, **slices.defines()}
+            self._occluders = list(slices.arrays)
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         point_kernel = integrand.point_kernel(scene)
@@ -199,7 +210,7 @@ class SampleSource(Batches):
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
         self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 2, np.uint32)
+        self._ray_count = HostArray(device, 3, np.uint32)
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
@@ -264,7 +275,7 @@ class SampleSource(Batches):
             self._distances,
             self._ray_count,
         )
-        rays, on_device = self._ray_count.read().tolist()
+        rays, on_device, off_lines = self._ray_count.read().tolist()
         started = time.perf_counter()
         with (
             self._origins.mapped(count=rays) as origins,
@@ -278,6 +289,7 @@ class SampleSource(Batches):
         self.rays.sample_seconds += started - begun
         self.rays.traced += rays
         self.rays.on_device += on_device
+        self.rays.off_lines += off_lines
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, *warp[1:])

@@ -1,0 +1,305 @@
+/* Slices of the hemisphere: what the scene's triangles block of all heights over one azimuth, without a ray.
+ *
+ * The half-plane through a point's origin o spanned by a tangent direction `across` and the normal `up` holds the
+ * directions x across + h up. A triangle crosses the plane in a segment; where x > 0, h > 0 and within the radius, it
+ * blocks an interval of squared heights w = h^2 / (x^2 + h^2). Over both mappings of ao.cl the integral of visibility
+ * along the height is the length that the union of these intervals leaves free: of 2 u V over heights u, where
+ * w = u^2, and of V over u, where w = 1 - u. (Billen and Dutre 2016, Line Sampling for Direct Illumination, do so on
+ * lights.)
+ *
+ * The union is kept as what is blocked from the horizon upwards (`low`), what is blocked from the zenith downwards
+ * (`high`), and MOST_BLOCKED disjoint intervals between at most. Where these do not suffice the slice is given up,
+ * and its sample is left to a ray.
+ *
+ * Signs. On which side of the plane a corner lies is asked once, by the same arithmetic wherever it occurs; zero
+ * counts as one side. A triangle is crossed if two of its corners differ, and the two points come from the two edges
+ * by one formula that does not depend on an edge's direction, so neighbours' intervals meet. The bound of a box is
+ * the same arithmetic with the box's corner, and rounding is monotonic: no box hides a triangle that is crossed.
+ *
+ * Walk. Boxes of boxes of BRANCH triangles, implicit: box k of a level holds numbers k * BRANCH and on of the level
+ * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius.
+ *
+ * Memory layout: `boxes`: nodes of BRANCH boxes, six rows of BRANCH floats each: lower x, y, z, upper x, y, z;
+ * node k of level l is number levels[l] + k. `triangles`: leaves of BRANCH triangles, nine rows: x, y, z of corner 0,
+ * then 1, then 2. Boxes and triangles that fill up a node are empty.
+ *
+ * Work-group contract: none; pure functions of private values and of the hierarchy, VEC boxes or triangles at a time.
+ */
+
+typedef struct {
+  float3 origin, across, up, beside;
+  float radius;
+  float low, high;
+  uint count;
+  float first[MOST_BLOCKED], last[MOST_BLOCKED];
+} Slice;
+
+#if VEC == 1
+uint lane_mask(const whole condition) { return condition != 0 ? 1u : 0u; }
+#else
+/* A bit for each lane where a comparison holds. */
+uint lane_mask(const whole condition) {
+  const bits own = SELECT((bits)0u, (bits)1u << LANE_NUMBER, condition);
+#if VEC == 16
+  const uint8 b8 = own.lo | own.hi;
+  const uint4 b4 = b8.lo | b8.hi;
+#elif VEC == 8
+  const uint4 b4 = own.lo | own.hi;
+#else
+  const uint4 b4 = own;
+#endif
+  const uint2 b2 = b4.lo | b4.hi;
+  return b2.x | b2.y;
+}
+#endif
+
+/* Takes the lowest bit out of `found`, and returns its number. */
+uint take_lowest(uint *found) {
+  const uint lowest = *found & (~*found + 1u);
+  *found ^= lowest;
+  return 31u - clz(lowest);
+}
+
+/* Adds [first, last] to what is blocked; false if there is no room. */
+bool block_heights(Slice *slice, float first, float last) {
+  uint kept = 0;
+  for (uint k = 0; k < slice->count; ++k) {
+    const float own_first = slice->first[k];
+    const float own_last = slice->last[k];
+    if (own_first <= last && own_last >= first) {
+      first = fmin(first, own_first);
+      last = fmax(last, own_last);
+    } else {
+      slice->first[kept] = own_first;
+      slice->last[kept++] = own_last;
+    }
+  }
+  slice->count = kept;
+  const bool at_low = first <= slice->low;
+  const bool at_high = last >= slice->high;
+  if (at_low) slice->low = fmax(slice->low, last);
+  if (at_high) slice->high = fmin(slice->high, first);
+  if (at_low || at_high) return true;
+  if (kept == MOST_BLOCKED) return false;
+  slice->first[kept] = first;
+  slice->last[kept] = last;
+  slice->count = kept + 1;
+  return true;
+}
+
+bool all_blocked(const Slice *slice) { return slice->low >= slice->high; }
+
+float free_heights(const Slice *slice) {
+  float left = slice->high - slice->low;
+  for (uint k = 0; k < slice->count; ++k) left -= slice->last[k] - slice->first[k];
+  return fmax(left, 0.0f);
+}
+
+real along(const float3 normal, const real x, const real y, const real z) {
+  return FMA((real)normal.x, x, FMA((real)normal.y, y, normal.z * z));
+}
+
+/* The most of normal . (x - origin) in each of VEC boxes. */
+real most_along(const float3 normal, const float3 origin, global const float *restrict boxes) {
+  return along(normal, LOAD(boxes + (normal.x >= 0.0f ? 3u : 0u) * BRANCH) - origin.x,
+               LOAD(boxes + (normal.y >= 0.0f ? 4u : 1u) * BRANCH) - origin.y,
+               LOAD(boxes + (normal.z >= 0.0f ? 5u : 2u) * BRANCH) - origin.z);
+}
+
+real least_along(const float3 normal, const float3 origin, global const float *restrict boxes) {
+  return along(normal, LOAD(boxes + (normal.x >= 0.0f ? 0u : 3u) * BRANCH) - origin.x,
+               LOAD(boxes + (normal.y >= 0.0f ? 1u : 4u) * BRANCH) - origin.y,
+               LOAD(boxes + (normal.z >= 0.0f ? 2u : 5u) * BRANCH) - origin.z);
+}
+
+/* How far VEC boxes are away along one axis. */
+real axis_distance(const float origin, global const float *restrict boxes) {
+  return max((real)0.0f, max(LOAD(boxes) - origin, origin - LOAD(boxes + 3 * BRANCH)));
+}
+
+/* Which boxes of a node can block some of what is free: a bit each. */
+uint boxes_in_slice(const Slice *slice, global const float *restrict node) {
+  /* The free directions lie between these two; w is a squared sine. */
+  const float3 above = sqrt(1.0f - slice->low) * slice->up - sqrt(slice->low) * slice->across;
+  const float3 below = sqrt(slice->high) * slice->across - sqrt(1.0f - slice->high) * slice->up;
+  uint found = 0;
+  for (uint block = 0; block < BRANCH; block += VEC) {
+    global const float *restrict boxes = node + block;
+    whole enter = (most_along(slice->beside, slice->origin, boxes) >= 0.0f) &&
+                  (least_along(slice->beside, slice->origin, boxes) < 0.0f);
+    enter = enter && (most_along(above, slice->origin, boxes) > 0.0f);
+    enter = enter && (most_along(below, slice->origin, boxes) > 0.0f);
+    if (slice->radius < INFINITY) {
+      const real x = axis_distance(slice->origin.x, boxes);
+      const real y = axis_distance(slice->origin.y, boxes + BRANCH);
+      const real z = axis_distance(slice->origin.z, boxes + 2 * BRANCH);
+      enter = enter && (x * x + y * y + z * z <= slice->radius * slice->radius);
+    }
+    found |= lane_mask(enter) << block;
+  }
+  return found;
+}
+
+/* A corner of triangles in the slice: on which side of its plane, and where in it. */
+typedef struct {
+  real side, x, h;
+} SliceCorner;
+
+SliceCorner select_corner(const SliceCorner a, const SliceCorner b, const whole is_b) {
+  return (SliceCorner){SELECT(a.side, b.side, is_b), SELECT(a.x, b.x, is_b), SELECT(a.h, b.h, is_b)};
+}
+
+/* Where the edge between corners on two sides crosses the plane, from the end that is nearer to it; its side is 0. */
+SliceCorner crossing(const SliceCorner a, const SliceCorner b) {
+  const real from_a = fabs(a.side);
+  const real from_b = fabs(b.side);
+  const whole b_is_near = (from_b < from_a) || ((from_b == from_a) && (b.side >= 0.0f));
+  const SliceCorner near = select_corner(a, b, b_is_near);
+  const SliceCorner far = select_corner(b, a, b_is_near);
+  const real t = near.side / (near.side - far.side);
+  return (SliceCorner){(real)0.0f, FMA(t, far.x - near.x, near.x), FMA(t, far.h - near.h, near.h)};
+}
+
+/* Shortens segments to what lies in the disc about the origin; returns for which that is something. */
+whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
+  const real x = b->x - a->x;
+  const real h = b->h - a->h;
+  const real length2 = x * x + h * h;
+  const real off = a->x * b->h - b->x * a->h;
+  const real root2 = length2 * (radius * radius) - off * off;
+  const real root = sqrt(max((real)0.0f, root2));
+  const real middle = -(a->x * x + a->h * h);
+  const real enters = (middle - root) / length2;
+  const real leaves = (middle + root) / length2;
+  const SliceCorner start = {(real)0.0f, FMA(enters, x, a->x), FMA(enters, h, a->h)};
+  const SliceCorner end = {(real)0.0f, FMA(leaves, x, a->x), FMA(leaves, h, a->h)};
+  *a = select_corner(*a, start, enters > 0.0f);
+  *b = select_corner(*b, end, leaves < 1.0f);
+  return (root2 > 0.0f) && (enters < 1.0f) && (leaves > 0.0f);
+}
+
+/* Shortens segments to what lies above the plane and ahead; returns for which that is something. */
+whole clip_to_quadrant(SliceCorner *a, SliceCorner *b) {
+  const whole a_under = (a->h < 0.0f);
+  const whole b_under = (b->h < 0.0f);
+  const real at_h = a->h / (a->h - b->h);
+  const SliceCorner level = {(real)0.0f, FMA(at_h, b->x - a->x, a->x), (real)0.0f};
+  const SliceCorner raised_a = select_corner(*a, level, a_under);
+  const SliceCorner raised_b = select_corner(*b, level, b_under);
+  const whole a_behind = (raised_a.x < 0.0f);
+  const whole b_behind = (raised_b.x < 0.0f);
+  const real at_x = raised_a.x / (raised_a.x - raised_b.x);
+  const SliceCorner upright = {(real)0.0f, (real)0.0f, FMA(at_x, raised_b.h - raised_a.h, raised_a.h)};
+  *a = select_corner(raised_a, upright, a_behind);
+  *b = select_corner(raised_b, upright, b_behind);
+  return !(a_under && b_under) && !(a_behind && b_behind);
+}
+
+/* The squared height, whatever the unit of length; x and h are not negative. */
+real squared_height(const SliceCorner a) {
+  const real scale = max(a.x, a.h);
+  const real x = a.x / scale;
+  const real h = a.h / scale;
+  return SELECT((real)0.0f, h * h / (x * x + h * h), scale > 0.0f);
+}
+
+/* Blocks what a leaf's triangles block; false if there is no room. */
+bool meet_triangles(Slice *slice, global const float *restrict leaf) {
+  for (uint block = 0; block < BRANCH; block += VEC) {
+    real x[3], y[3], z[3];
+    SliceCorner corner[3];
+    whole positive[3];
+    for (uint c = 0; c < 3; ++c) {
+      x[c] = LOAD(leaf + (3 * c) * BRANCH + block) - slice->origin.x;
+      y[c] = LOAD(leaf + (3 * c + 1) * BRANCH + block) - slice->origin.y;
+      z[c] = LOAD(leaf + (3 * c + 2) * BRANCH + block) - slice->origin.z;
+      corner[c].side = along(slice->beside, x[c], y[c], z[c]);
+      positive[c] = (corner[c].side >= 0.0f);
+    }
+    whole meets = (positive[0] != positive[1]) || (positive[0] != positive[2]);
+    if (!ANY(meets)) continue;
+    for (uint c = 0; c < 3; ++c) {
+      corner[c].x = along(slice->across, x[c], y[c], z[c]);
+      corner[c].h = along(slice->up, x[c], y[c], z[c]);
+    }
+    /* The corner that is alone on its side, and the two others. */
+    const whole second = (positive[0] == positive[2]);
+    const whole third = (positive[0] == positive[1]);
+    const SliceCorner alone = select_corner(select_corner(corner[0], corner[1], second), corner[2], third);
+    SliceCorner a = crossing(alone, select_corner(corner[1], corner[0], second || third));
+    SliceCorner b = crossing(alone, select_corner(corner[2], corner[1], third));
+    if (slice->radius < INFINITY) meets = meets && clip_to_disc(slice->radius, &a, &b);
+    meets = meets && clip_to_quadrant(&a, &b);
+    const real at_a = squared_height(a);
+    const real at_b = squared_height(b);
+    const real lower = max(min(at_a, at_b), (real)slice->low);
+    const real upper = min(max(at_a, at_b), (real)slice->high);
+    uint found = lane_mask(meets && (lower < upper));
+    float first[VEC], last[VEC];
+    STORE(lower, first);
+    STORE(upper, last);
+    while (found != 0) {
+      const uint lane = take_lowest(&found);
+      if (!block_heights(slice, first[lane], last[lane])) return false;
+    }
+  }
+  return true;
+}
+
+/* Blocks what all triangles block; false if there is no room. */
+bool walk_slice(Slice *slice, global const uint *restrict levels, global const float *restrict boxes,
+                global const float *restrict triangles) {
+  uint found[SLICE_LEVELS], node[SLICE_LEVELS];
+  uint level = SLICE_LEVELS - 1;
+  node[level] = 0;
+  found[level] = boxes_in_slice(slice, boxes + levels[level] * (ulong)(6 * BRANCH));
+  while (true) {
+    while (found[level] == 0) {
+      if (++level == SLICE_LEVELS) return true;
+    }
+    const uint child = node[level] * BRANCH + take_lowest(&found[level]);
+    if (level > 0) {
+      node[--level] = child;
+      found[level] = boxes_in_slice(slice, boxes + (levels[level] + child) * (ulong)(6 * BRANCH));
+    } else {
+      if (!meet_triangles(slice, triangles + child * (ulong)(9 * BRANCH))) return false;
+      if (all_blocked(slice)) return true;
+    }
+  }
+}
+
+/* Of the slices `wanted`, at azimuths 2 pi `turns`: the integral of visibility over height. Returns which had no
+ * room for what is blocked; their integrals are not known. */
+whole slice_integrals(const ShadingPoint *p, const float radius, global const uint *restrict levels,
+                      global const float *restrict boxes, global const float *restrict triangles,
+                      const whole wanted, const real turns, real *integral) {
+  float3 tangent, bitangent;
+  tangent_frame(p->normal, &tangent, &bitangent);
+  float turn[VEC], left[VEC];
+  int refused[VEC], is_wanted[VEC];
+  STORE(turns, turn);
+  STORE(wanted, is_wanted);
+  for (uint lane = 0; lane < VEC; ++lane) {
+    left[lane] = 0.0f;
+    refused[lane] = 0;
+    if (is_wanted[lane] == 0) continue;
+    float cosine;
+    const float sine = sincos(2.0f * M_PI_F * turn[lane], &cosine);
+    Slice slice;
+    slice.origin = ray_origin(p);
+    slice.across = cosine * tangent + sine * bitangent;
+    slice.beside = cosine * bitangent - sine * tangent;
+    slice.up = p->normal;
+    slice.radius = radius;
+    slice.high = 1.0f;
+    slice.count = 0;
+    /* Below the triangle itself nothing is seen, whatever the shading normal says. */
+    const float fall = fmax(0.0f, -dot(slice.across, p->geometric_normal));
+    const float rise = dot(slice.up, p->geometric_normal);
+    slice.low = fall * fall / (fall * fall + rise * rise);
+    if (!walk_slice(&slice, levels, boxes, triangles)) refused[lane] = -1;
+    left[lane] = free_heights(&slice);
+  }
+  *integral = LOAD(left);
+  return LOAD(refused);
+}

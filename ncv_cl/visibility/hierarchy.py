@@ -1,0 +1,98 @@
+"""Boxes of boxes of triangles, for walks on the device."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Children of a box; a whole number of vectors on every device.
+BRANCH = 16
+# Bounds of what fills up a node: no plane crosses a box that is inside out.
+EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
+
+
+def packed_order(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """An order of triangles of which every BRANCH, BRANCH², ... in a row lie close together.
+
+    Triangles are halved again and again by the middles of their boxes, along the axis that makes the
+    sum of surfaces least (the surface-area heuristic), at a multiple of the largest power of BRANCH that
+    both halves can hold. So every node but the last of a level is full, and needs no address.
+
+    Parameters
+    ----------
+    lower, upper : ndarray
+        float32 (triangles, 3), boxes of the triangles.
+
+    Returns
+    -------
+    ndarray
+        int64 (triangles,).
+    """
+    centres = lower + upper
+    return _arranged(np.arange(len(lower))[None], lower, upper, centres).ravel()
+
+
+def _arranged(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Each of `rows`, indices (sets, triangles of a set), in the order of `packed_order`."""
+    size = rows.shape[1]
+    if size <= BRANCH:
+        return rows
+    unit = BRANCH
+    while unit * BRANCH < size:
+        unit *= BRANCH
+    first = (-(-size // unit) + 1) // 2 * unit
+    rows = _halved(rows, first, lower, upper, centres)
+    if 2 * first == size:
+        halves = _arranged(rows.reshape(-1, first), lower, upper, centres)
+        return halves.reshape(-1, size)
+    parts = rows[:, :first], rows[:, first:]
+    return np.concatenate([_arranged(part, lower, upper, centres) for part in parts], axis=1)
+
+
+def _halved(
+    rows: np.ndarray, first: int, lower: np.ndarray, upper: np.ndarray, centres: np.ndarray
+) -> np.ndarray:
+    """`rows` with the `first` elements before the others along the best axis of each row."""
+    best, least = rows, np.full(len(rows), np.inf)
+    for axis in range(3):
+        order = np.argpartition(centres[rows, axis], first - 1, axis=1)
+        cut = np.take_along_axis(rows, order, axis=1)
+        parts = cut[:, :first], cut[:, first:]
+        cost = sum(part.shape[1] * _surface(lower[part], upper[part]) for part in parts)
+        better = cost < least
+        best = np.where(better[:, None], cut, best)
+        least = np.minimum(cost, least)
+    return best
+
+
+def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Half the surface of the box about each row of boxes (rows, boxes, 3)."""
+    x, y, z = (upper.max(axis=1) - lower.min(axis=1)).astype(np.float64).T
+    return x * y + y * z + z * x
+
+
+def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
+    """Nodes of each level, float32 (nodes, 6, BRANCH) as slices.cl lays them out, lowest first.
+
+    Parameters
+    ----------
+    lower, upper : ndarray
+        float32 (triangles, 3), boxes of the triangles in their order.
+    """
+    levels = []
+    while not levels or len(levels[-1]) > 1:
+        starts = np.arange(0, len(lower), BRANCH)
+        lower, upper = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
+        filled = [padded(lower, EMPTY_LOWER), padded(upper, EMPTY_UPPER)]
+        levels.append(in_nodes(np.concatenate(filled, axis=1)))
+    return levels
+
+
+def padded(rows: np.ndarray, value: float) -> np.ndarray:
+    """`rows`, and more of `value` up to a whole number of nodes."""
+    missing = -len(rows) % BRANCH
+    return np.concatenate([rows, np.full((missing, rows.shape[1]), value, rows.dtype)])
+
+
+def in_nodes(rows: np.ndarray) -> np.ndarray:
+    """(nodes * BRANCH, numbers) as (nodes, numbers, BRANCH), contiguous."""
+    return np.ascontiguousarray(rows.reshape(-1, BRANCH, rows.shape[1]).transpose(0, 2, 1))

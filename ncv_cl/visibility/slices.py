@@ -1,0 +1,49 @@
+"""Slices of the hemisphere: visibility along all heights over one azimuth, found without rays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..opencl.device import Device, HostArray
+from ..scene.load import Scene
+from .hierarchy import BRANCH, box_levels, in_nodes, packed_order, padded
+
+# Intervals, apart from the lowest and the highest, that the union of what is blocked is kept in; slices
+# that need more are left to rays.
+MOST_BLOCKED = 16
+
+
+class Slices:
+    """A scene's triangles in boxes, as slices.cl walks them.
+
+    Parameters
+    ----------
+    device, scene
+
+    Attributes
+    ----------
+    arrays : tuple of HostArray
+        Levels' first nodes, nodes of boxes, and leaves of triangles, as slices.cl lays them out.
+    """
+
+    def __init__(self, device: Device, scene: Scene) -> None:
+        corners = scene.vertices[scene.triangles].astype(np.float32)
+        lower, upper = corners.min(axis=1), corners.max(axis=1)
+        order = packed_order(lower, upper)
+        levels = box_levels(lower[order], upper[order])
+        firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
+        self._levels = len(levels)
+        self.arrays = (
+            HostArray.of(device, firsts.astype(np.uint32)),
+            HostArray.of(device, np.concatenate(levels)),
+            # Triangles without extent: no plane has their corners on two sides.
+            HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0))),
+        )
+
+    def defines(self) -> dict[str, str]:
+        """The `-D` constants of slices.cl, beside those of surface.cl."""
+        return {
+            "BRANCH": f"{BRANCH}u",
+            "SLICE_LEVELS": f"{self._levels}u",
+            "MOST_BLOCKED": f"{MOST_BLOCKED}u",
+        }
