@@ -268,13 +268,32 @@ bool walk_slice(Slice *slice, global const uint *restrict levels, global const f
   }
 }
 
+/* The slice at an azimuth of 2 pi `turn`, of which nothing is blocked but what lies below the point's own triangle,
+ * whatever the shading normal says. */
+Slice slice_at(const ShadingPoint *p, const float radius, const float turn) {
+  float3 tangent, bitangent;
+  tangent_frame(p->normal, &tangent, &bitangent);
+  float cosine;
+  const float sine = sincos(2.0f * M_PI_F * turn, &cosine);
+  Slice slice;
+  slice.origin = ray_origin(p);
+  slice.across = cosine * tangent + sine * bitangent;
+  slice.beside = cosine * bitangent - sine * tangent;
+  slice.up = p->normal;
+  slice.radius = radius;
+  const float fall = fmax(0.0f, -dot(slice.across, p->geometric_normal));
+  const float rise = dot(slice.up, p->geometric_normal);
+  slice.low = fall * fall / (fall * fall + rise * rise);
+  slice.high = 1.0f;
+  slice.count = 0;
+  return slice;
+}
+
 /* Of the slices `wanted`, at azimuths 2 pi `turns`: the integral of visibility over height. Returns which had no
  * room for what is blocked; their integrals are not known. */
 whole slice_integrals(const ShadingPoint *p, const float radius, global const uint *restrict levels,
                       global const float *restrict boxes, global const float *restrict triangles,
                       const whole wanted, const real turns, real *integral) {
-  float3 tangent, bitangent;
-  tangent_frame(p->normal, &tangent, &bitangent);
   float turn[VEC], left[VEC];
   int refused[VEC], is_wanted[VEC];
   STORE(turns, turn);
@@ -283,20 +302,7 @@ whole slice_integrals(const ShadingPoint *p, const float radius, global const ui
     left[lane] = 0.0f;
     refused[lane] = 0;
     if (is_wanted[lane] == 0) continue;
-    float cosine;
-    const float sine = sincos(2.0f * M_PI_F * turn[lane], &cosine);
-    Slice slice;
-    slice.origin = ray_origin(p);
-    slice.across = cosine * tangent + sine * bitangent;
-    slice.beside = cosine * bitangent - sine * tangent;
-    slice.up = p->normal;
-    slice.radius = radius;
-    slice.high = 1.0f;
-    slice.count = 0;
-    /* Below the triangle itself nothing is seen, whatever the shading normal says. */
-    const float fall = fmax(0.0f, -dot(slice.across, p->geometric_normal));
-    const float rise = dot(slice.up, p->geometric_normal);
-    slice.low = fall * fall / (fall * fall + rise * rise);
+    Slice slice = slice_at(p, radius, turn[lane]);
     if (!walk_slice(&slice, levels, boxes, triangles)) refused[lane] = -1;
     left[lane] = free_heights(&slice);
   }
