@@ -41,13 +41,14 @@ AO = AmbientOcclusion()
 INTERVALS = """
 kernel void intervals(const uint point_count, const uint total_points, const uint turn_count,
                       const float radius, global const float *restrict surface,
-                      global const float *restrict turns, global const uint *restrict levels,
+                      global const float *restrict turns, const float unit,
+                      global const uint *restrict levels,
                       global const float *restrict boxes, global const float *restrict triangles,
                       global int *restrict room, global float *restrict blocked) {
   const uint item = (uint)get_global_id(0);
   if (item >= point_count * turn_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, item / turn_count);
-  Slice slice = slice_at(&p, radius, turns[item]);
+  Slice slice = slice_at(&p, radius, unit, turns[item]);
   room[item] = walk_slice(&slice, levels, boxes, triangles) ? 1 : 0;
   global float *restrict own = blocked + item * (2 * (MOST_BLOCKED + 2));
   own[0] = 0.0f;
@@ -106,7 +107,7 @@ def compared(device, scene, size=(12, 10), turns=32, heights=16, radius=math.inf
     blocked = HostArray(device, (*shape, slices.MOST_BLOCKED + 2, 2), np.float32)
     kernel(
         turn.size, points.active, points.total, turns, radius, points.surface,
-        HostArray.of(device, turn), *boxes.arrays, room, blocked,
+        HostArray.of(device, turn), *boxes.arguments, room, blocked,
     )  # fmt: skip
     height = generator.random((*shape, heights))
     axes = [tangent_frame(normal) for normal in points.rows("normal").T[: points.active].astype(float)]

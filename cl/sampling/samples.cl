@@ -38,7 +38,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const float *restrict corners,
 #endif
 #if SLICES
-                         global const uint *restrict levels, global const float *restrict boxes,
+                         const float unit, global const uint *restrict levels, global const float *restrict boxes,
                          global const float *restrict triangles,
 #endif
                          global float *restrict u, global float *restrict v, global float *restrict value,
@@ -82,8 +82,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
 #endif
 #if SLICES
     const whole is_sample = (index < sample_count);
-    const whole refused = slice_integrals(&p, integrand_data[0], levels, boxes, triangles, is_sample, sample_v,
-                                          sample_value);
+    const whole refused = slice_integrals(&p, integrand_data[0], unit, levels, boxes, triangles, is_sample,
+                                          sample_v, sample_value);
     if (ANY(refused)) {
       real at_u[CHANNELS];
       evaluate_integrand(&p, integrand_data, sample_u, sample_v, at_u, direction[k], &distance[k]);

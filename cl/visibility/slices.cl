@@ -13,8 +13,9 @@
  *
  * Signs. On which side of the plane a corner lies is asked once, by the same arithmetic wherever it occurs; zero
  * counts as one side. A triangle is crossed if two of its corners differ, and the two points come from the two edges
- * by one formula that does not depend on an edge's direction, so neighbours' intervals meet. The bound of a box is
- * the same arithmetic with the box's corner, and rounding is monotonic: no box hides a triangle that is crossed.
+ * by one formula that does not depend on an edge's direction, so neighbours' intervals meet. Only the directions of
+ * the two points matter, so they are not divided by their weights. The bound of a box is the same arithmetic with the
+ * box's corner, and rounding is monotonic: no box hides a triangle that is crossed.
  *
  * Walk. Boxes of boxes of BRANCH triangles, implicit: box k of a level holds numbers k * BRANCH and on of the level
  * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius.
@@ -26,9 +27,11 @@
  * Work-group contract: none; pure functions of private values and of the hierarchy, VEC boxes or triangles at a time.
  */
 
+/* `across`, `up` and `beside` have the length `unit`, one over the scene's extent, so that products of what is measured
+ * along them stay within float's range. */
 typedef struct {
   float3 origin, across, up, beside;
-  float radius;
+  float radius, unit;
   float low, high;
   uint count;
   float first[MOST_BLOCKED], last[MOST_BLOCKED];
@@ -149,16 +152,20 @@ SliceCorner select_corner(const SliceCorner a, const SliceCorner b, const whole 
   return (SliceCorner){SELECT(a.side, b.side, is_b), SELECT(a.x, b.x, is_b), SELECT(a.h, b.h, is_b)};
 }
 
-/* Where the edge between corners on two sides crosses the plane, from the end that is nearer to it; its side is 0. */
+/* Where the edge between corners on two sides crosses the plane, but for a positive factor, which `side` becomes. */
 SliceCorner crossing(const SliceCorner a, const SliceCorner b) {
-  const real from_a = fabs(a.side);
-  const real from_b = fabs(b.side);
-  const whole b_is_near = (from_b < from_a) || ((from_b == from_a) && (b.side >= 0.0f));
-  const SliceCorner near = select_corner(a, b, b_is_near);
-  const SliceCorner far = select_corner(b, a, b_is_near);
-  const real t = near.side / (near.side - far.side);
-  return (SliceCorner){(real)0.0f, FMA(t, far.x - near.x, near.x), FMA(t, far.h - near.h, near.h)};
+  /* The same from b to a: no product may be fused into the sum. */
+#pragma OPENCL FP_CONTRACT OFF
+  const real of_a = fabs(b.side);
+  const real of_b = fabs(a.side);
+  const real a_x = of_a * a.x;
+  const real b_x = of_b * b.x;
+  const real a_h = of_a * a.h;
+  const real b_h = of_b * b.h;
+  return (SliceCorner){of_a + of_b, a_x + b_x, a_h + b_h};
 }
+
+SliceCorner divided(const SliceCorner a) { return (SliceCorner){(real)1.0f, a.x / a.side, a.h / a.side}; }
 
 /* Shortens segments to what lies in the disc about the origin; returns for which that is something. */
 whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
@@ -178,29 +185,34 @@ whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
   return (root2 > 0.0f) && (enters < 1.0f) && (leaves > 0.0f);
 }
 
-/* Shortens segments to what lies above the plane and ahead; returns for which that is something. */
-whole clip_to_quadrant(SliceCorner *a, SliceCorner *b) {
-  const whole a_under = (a->h < 0.0f);
-  const whole b_under = (b->h < 0.0f);
-  const real at_h = a->h / (a->h - b->h);
-  const SliceCorner level = {(real)0.0f, FMA(at_h, b->x - a->x, a->x), (real)0.0f};
-  const SliceCorner raised_a = select_corner(*a, level, a_under);
-  const SliceCorner raised_b = select_corner(*b, level, b_under);
-  const whole a_behind = (raised_a.x < 0.0f);
-  const whole b_behind = (raised_b.x < 0.0f);
-  const real at_x = raised_a.x / (raised_a.x - raised_b.x);
-  const SliceCorner upright = {(real)0.0f, (real)0.0f, FMA(at_x, raised_b.h - raised_a.h, raised_a.h)};
-  *a = select_corner(raised_a, upright, a_behind);
-  *b = select_corner(raised_b, upright, b_behind);
-  return !(a_under && b_under) && !(a_behind && b_behind);
+/* Moves ends below the plane up to it along their segments, then ends behind ahead; returns which segments have any
+ * part above and ahead, of those in `meets`. */
+whole clip_to_quadrant(whole meets, SliceCorner *a, SliceCorner *b) {
+  whole a_out = (a->h < 0.0f);
+  whole b_out = (b->h < 0.0f);
+  meets = meets && !(a_out && b_out);
+  if (ANY(meets && (a_out || b_out))) {
+    const real t = a->h / (a->h - b->h);
+    const SliceCorner level = {(real)0.0f, FMA(t, b->x - a->x, a->x), (real)0.0f};
+    *a = select_corner(*a, level, a_out);
+    *b = select_corner(*b, level, b_out);
+  }
+  a_out = (a->x < 0.0f);
+  b_out = (b->x < 0.0f);
+  meets = meets && !(a_out && b_out);
+  if (ANY(meets && (a_out || b_out))) {
+    const real t = a->x / (a->x - b->x);
+    const SliceCorner upright = {(real)0.0f, (real)0.0f, FMA(t, b->h - a->h, a->h)};
+    *a = select_corner(*a, upright, a_out);
+    *b = select_corner(*b, upright, b_out);
+  }
+  return meets;
 }
 
-/* The squared height, whatever the unit of length; x and h are not negative. */
+/* Of ends that lie neither below nor behind. */
 real squared_height(const SliceCorner a) {
-  const real scale = max(a.x, a.h);
-  const real x = a.x / scale;
-  const real h = a.h / scale;
-  return SELECT((real)0.0f, h * h / (x * x + h * h), scale > 0.0f);
+  const real slope = a.x / a.h;
+  return SELECT((real)0.0f, 1.0f / FMA(slope, slope, (real)1.0f), a.x + a.h > 0.0f);
 }
 
 /* Blocks what a leaf's triangles block; false if there is no room. */
@@ -228,8 +240,13 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     const SliceCorner alone = select_corner(select_corner(corner[0], corner[1], second), corner[2], third);
     SliceCorner a = crossing(alone, select_corner(corner[1], corner[0], second || third));
     SliceCorner b = crossing(alone, select_corner(corner[2], corner[1], third));
-    if (slice->radius < INFINITY) meets = meets && clip_to_disc(slice->radius, &a, &b);
-    meets = meets && clip_to_quadrant(&a, &b);
+    if (slice->radius < INFINITY) {
+      a = divided(a);
+      b = divided(b);
+      meets = meets && clip_to_disc(slice->radius * slice->unit, &a, &b);
+    }
+    meets = clip_to_quadrant(meets, &a, &b);
+    if (!ANY(meets)) continue;
     const real at_a = squared_height(a);
     const real at_b = squared_height(b);
     const real lower = max(min(at_a, at_b), (real)slice->low);
@@ -270,20 +287,21 @@ bool walk_slice(Slice *slice, global const uint *restrict levels, global const f
 
 /* The slice at an azimuth of 2 pi `turn`, of which nothing is blocked but what lies below the point's own triangle,
  * whatever the shading normal says. */
-Slice slice_at(const ShadingPoint *p, const float radius, const float turn) {
+Slice slice_at(const ShadingPoint *p, const float radius, const float unit, const float turn) {
   float3 tangent, bitangent;
   tangent_frame(p->normal, &tangent, &bitangent);
   float cosine;
   const float sine = sincos(2.0f * M_PI_F * turn, &cosine);
   Slice slice;
   slice.origin = ray_origin(p);
-  slice.across = cosine * tangent + sine * bitangent;
-  slice.beside = cosine * bitangent - sine * tangent;
-  slice.up = p->normal;
+  slice.across = unit * (cosine * tangent + sine * bitangent);
+  slice.beside = unit * (cosine * bitangent - sine * tangent);
+  slice.up = unit * p->normal;
   slice.radius = radius;
+  slice.unit = unit;
   const float fall = fmax(0.0f, -dot(slice.across, p->geometric_normal));
   const float rise = dot(slice.up, p->geometric_normal);
-  slice.low = fall * fall / (fall * fall + rise * rise);
+  slice.low = 1.0f / (1.0f + rise * rise / (fall * fall));
   slice.high = 1.0f;
   slice.count = 0;
   return slice;
@@ -291,9 +309,10 @@ Slice slice_at(const ShadingPoint *p, const float radius, const float turn) {
 
 /* Of the slices `wanted`, at azimuths 2 pi `turns`: the integral of visibility over height. Returns which had no
  * room for what is blocked; their integrals are not known. */
-whole slice_integrals(const ShadingPoint *p, const float radius, global const uint *restrict levels,
-                      global const float *restrict boxes, global const float *restrict triangles,
-                      const whole wanted, const real turns, real *integral) {
+whole slice_integrals(const ShadingPoint *p, const float radius, const float unit,
+                      global const uint *restrict levels, global const float *restrict boxes,
+                      global const float *restrict triangles, const whole wanted,
+                      const real turns, real *integral) {
   float turn[VEC], left[VEC];
   int refused[VEC], is_wanted[VEC];
   STORE(turns, turn);
@@ -302,7 +321,7 @@ whole slice_integrals(const ShadingPoint *p, const float radius, global const ui
     left[lane] = 0.0f;
     refused[lane] = 0;
     if (is_wanted[lane] == 0) continue;
-    Slice slice = slice_at(p, radius, turn[lane]);
+    Slice slice = slice_at(p, radius, unit, turn[lane]);
     if (!walk_slice(&slice, levels, boxes, triangles)) refused[lane] = -1;
     left[lane] = free_heights(&slice);
   }

@@ -196,7 +196,7 @@ class SampleSource(Batches):
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
-            self._occluders = list(slices.arrays)
+            self._occluders = list(slices.arguments)
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         point_kernel = integrand.point_kernel(scene)

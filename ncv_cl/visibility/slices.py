@@ -22,8 +22,9 @@ class Slices:
 
     Attributes
     ----------
-    arrays : tuple of HostArray
-        Levels' first nodes, nodes of boxes, and leaves of triangles, as slices.cl lays them out.
+    arguments : tuple
+        One over the scene's extent, levels' first nodes, nodes of boxes, and leaves of triangles, as
+        slices.cl lays them out.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -33,7 +34,8 @@ class Slices:
         levels = box_levels(lower[order], upper[order])
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
         self._levels = len(levels)
-        self.arrays = (
+        self.arguments = (
+            1 / float((upper.max(axis=0) - lower.min(axis=0)).max()),
             HostArray.of(device, firsts.astype(np.uint32)),
             HostArray.of(device, np.concatenate(levels)),
             # Triangles without extent: no plane has their corners on two sides.
