@@ -14,8 +14,8 @@
  * Signs. On which side of the plane a corner lies is asked once, by the same arithmetic wherever it occurs; zero
  * counts as one side. A triangle is crossed if two of its corners differ, and the two points come from the two edges
  * by one formula that does not depend on an edge's direction, so neighbours' intervals meet. Only the directions of
- * the two points matter, so they are not divided by their weights. The bound of a box is the same arithmetic with the
- * box's corner, and rounding is monotonic: no box hides a triangle that is crossed.
+ * the two points matter, so they are not divided by their weights. Boxes are entered if they reach the plane but for
+ * PLANE_ROUNDING, more than rounding makes of it, so no box hides a triangle that is crossed.
  *
  * Walk. Boxes of boxes of BRANCH triangles, implicit: box k of a level holds numbers k * BRANCH and on of the level
  * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius.
@@ -27,10 +27,16 @@
  * Work-group contract: none; pure functions of private values and of the hierarchy, VEC boxes or triangles at a time.
  */
 
-/* `across`, `up` and `beside` have the length `unit`, one over the scene's extent, so that products of what is measured
- * along them stay within float's range. */
 typedef struct {
-  float3 origin, across, up, beside;
+  float3 normal;
+  float limit; /* normal . origin */
+} SlicePlane;
+
+/* `across`, `up` and `beside` have the length `unit`, one over the largest coordinate, so that products of what is
+ * measured along them stay within float's range. */
+typedef struct {
+  float3 origin, across, up;
+  SlicePlane beside, above, below; /* the last two are those through `low` and `high` */
   float radius, unit;
   float low, high;
   uint count;
@@ -38,8 +44,12 @@ typedef struct {
 } Slice;
 
 #if VEC == 1
+#define AS_REAL(x) as_float(x)
+#define AS_WHOLE(x) as_int(x)
 uint lane_mask(const whole condition) { return condition != 0 ? 1u : 0u; }
 #else
+#define AS_REAL(x) JOIN(as_float, VEC)(x)
+#define AS_WHOLE(x) JOIN(as_int, VEC)(x)
 /* A bit for each lane where a comparison holds. */
 uint lane_mask(const whole condition) {
   const bits own = SELECT((bits)0u, (bits)1u << LANE_NUMBER, condition);
@@ -102,17 +112,25 @@ real along(const float3 normal, const real x, const real y, const real z) {
   return FMA((real)normal.x, x, FMA((real)normal.y, y, normal.z * z));
 }
 
-/* The most of normal . (x - origin) in each of VEC boxes. */
-real most_along(const float3 normal, const float3 origin, global const float *restrict boxes) {
-  return along(normal, LOAD(boxes + (normal.x >= 0.0f ? 3u : 0u) * BRANCH) - origin.x,
-               LOAD(boxes + (normal.y >= 0.0f ? 4u : 1u) * BRANCH) - origin.y,
-               LOAD(boxes + (normal.z >= 0.0f ? 5u : 2u) * BRANCH) - origin.z);
+SlicePlane plane_through(const float3 origin, const float3 normal) {
+  return (SlicePlane){normal, dot(normal, origin)};
 }
 
-real least_along(const float3 normal, const float3 origin, global const float *restrict boxes) {
-  return along(normal, LOAD(boxes + (normal.x >= 0.0f ? 0u : 3u) * BRANCH) - origin.x,
-               LOAD(boxes + (normal.y >= 0.0f ? 1u : 4u) * BRANCH) - origin.y,
-               LOAD(boxes + (normal.z >= 0.0f ? 2u : 5u) * BRANCH) - origin.z);
+/* The planes between which all free directions lie; w is a squared sine. */
+void narrow_planes(Slice *slice) {
+  const float3 above = sqrt(1.0f - slice->low) * slice->up - sqrt(slice->low) * slice->across;
+  const float3 below = sqrt(slice->high) * slice->across - sqrt(1.0f - slice->high) * slice->up;
+  slice->above = plane_through(slice->origin, above);
+  slice->below = plane_through(slice->origin, below);
+}
+
+/* How far VEC boxes reach beyond a plane. */
+real most_beyond(const SlicePlane *plane, global const float *restrict boxes) {
+  const float3 n = plane->normal;
+  const real x = LOAD(boxes + (n.x >= 0.0f ? 3u : 0u) * BRANCH);
+  const real y = LOAD(boxes + (n.y >= 0.0f ? 4u : 1u) * BRANCH);
+  const real z = LOAD(boxes + (n.z >= 0.0f ? 5u : 2u) * BRANCH);
+  return FMA((real)n.x, x, FMA((real)n.y, y, FMA((real)n.z, z, (real)-plane->limit)));
 }
 
 /* How far VEC boxes are away along one axis. */
@@ -122,16 +140,13 @@ real axis_distance(const float origin, global const float *restrict boxes) {
 
 /* Which boxes of a node can block some of what is free: a bit each. */
 uint boxes_in_slice(const Slice *slice, global const float *restrict node) {
-  /* The free directions lie between these two; w is a squared sine. */
-  const float3 above = sqrt(1.0f - slice->low) * slice->up - sqrt(slice->low) * slice->across;
-  const float3 below = sqrt(slice->high) * slice->across - sqrt(1.0f - slice->high) * slice->up;
+  const SlicePlane reverse = {-slice->beside.normal, -slice->beside.limit};
   uint found = 0;
   for (uint block = 0; block < BRANCH; block += VEC) {
     global const float *restrict boxes = node + block;
-    whole enter = (most_along(slice->beside, slice->origin, boxes) >= 0.0f) &&
-                  (least_along(slice->beside, slice->origin, boxes) < 0.0f);
-    enter = enter && (most_along(above, slice->origin, boxes) > 0.0f);
-    enter = enter && (most_along(below, slice->origin, boxes) > 0.0f);
+    const real across = min(most_beyond(&slice->beside, boxes), most_beyond(&reverse, boxes));
+    const real within = min(most_beyond(&slice->above, boxes), most_beyond(&slice->below, boxes));
+    whole enter = (min(across, within) >= -PLANE_ROUNDING);
     if (slice->radius < INFINITY) {
       const real x = axis_distance(slice->origin.x, boxes);
       const real y = axis_distance(slice->origin.y, boxes + BRANCH);
@@ -185,34 +200,27 @@ whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
   return (root2 > 0.0f) && (enters < 1.0f) && (leaves > 0.0f);
 }
 
-/* Moves ends below the plane up to it along their segments, then ends behind ahead; returns which segments have any
- * part above and ahead, of those in `meets`. */
-whole clip_to_quadrant(whole meets, SliceCorner *a, SliceCorner *b) {
-  whole a_out = (a->h < 0.0f);
-  whole b_out = (b->h < 0.0f);
-  meets = meets && !(a_out && b_out);
-  if (ANY(meets && (a_out || b_out))) {
-    const real t = a->h / (a->h - b->h);
-    const SliceCorner level = {(real)0.0f, FMA(t, b->x - a->x, a->x), (real)0.0f};
-    *a = select_corner(*a, level, a_out);
-    *b = select_corner(*b, level, b_out);
-  }
-  a_out = (a->x < 0.0f);
-  b_out = (b->x < 0.0f);
-  meets = meets && !(a_out && b_out);
-  if (ANY(meets && (a_out || b_out))) {
-    const real t = a->x / (a->x - b->x);
-    const SliceCorner upright = {(real)0.0f, (real)0.0f, FMA(t, b->h - a->h, a->h)};
-    *a = select_corner(*a, upright, a_out);
-    *b = select_corner(*b, upright, b_out);
-  }
-  return meets;
+/* Of ends in the quadrant; scaled by a power of two, so that squares stay within float's range. */
+real squared_height(const SliceCorner a) {
+  const whole exponent = AS_WHOLE(max(fabs(a.x), fabs(a.h))) & 0x7f800000;
+  const real scale = AS_REAL(0x7f000000 - exponent);
+  const real x = a.x * scale;
+  const real h = a.h * scale;
+  const real h2 = h * h;
+  return h2 / FMA(x, x, h2);
 }
 
-/* Of ends that lie neither below nor behind. */
-real squared_height(const SliceCorner a) {
-  const real slope = a.x / a.h;
-  return SELECT((real)0.0f, 1.0f / FMA(slope, slope, (real)1.0f), a.x + a.h > 0.0f);
+/* The heights that segments block; which block any. Seen from the origin, a segment is an arc of less than half a turn,
+ * counterclockwise from `first` to `last`: it begins below the quadrant or in it, and ends in it or behind. */
+whole heights_of(const SliceCorner a, const SliceCorner b, real *lower, real *upper) {
+  const whole clockwise = (a.x * b.h < a.h * b.x);
+  const SliceCorner first = select_corner(a, b, clockwise);
+  const SliceCorner last = select_corner(b, a, clockwise);
+  const real from = SELECT(squared_height(first), (real)0.0f, first.h < 0.0f);
+  const real to = SELECT(squared_height(last), (real)1.0f, last.x < 0.0f);
+  *lower = min(from, to);
+  *upper = max(from, to);
+  return (max(a.h, b.h) >= 0.0f) && (max(a.x, b.x) >= 0.0f) && (max(first.x, -first.h) > 0.0f);
 }
 
 /* Blocks what a leaf's triangles block; false if there is no room. */
@@ -221,15 +229,17 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     real x[3], y[3], z[3];
     SliceCorner corner[3];
     whole positive[3];
+#pragma unroll
     for (uint c = 0; c < 3; ++c) {
       x[c] = LOAD(leaf + (3 * c) * BRANCH + block) - slice->origin.x;
       y[c] = LOAD(leaf + (3 * c + 1) * BRANCH + block) - slice->origin.y;
       z[c] = LOAD(leaf + (3 * c + 2) * BRANCH + block) - slice->origin.z;
-      corner[c].side = along(slice->beside, x[c], y[c], z[c]);
+      corner[c].side = along(slice->beside.normal, x[c], y[c], z[c]);
       positive[c] = (corner[c].side >= 0.0f);
     }
     whole meets = (positive[0] != positive[1]) || (positive[0] != positive[2]);
     if (!ANY(meets)) continue;
+#pragma unroll
     for (uint c = 0; c < 3; ++c) {
       corner[c].x = along(slice->across, x[c], y[c], z[c]);
       corner[c].h = along(slice->up, x[c], y[c], z[c]);
@@ -243,22 +253,25 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     if (slice->radius < INFINITY) {
       a = divided(a);
       b = divided(b);
-      meets = meets && clip_to_disc(slice->radius * slice->unit, &a, &b);
+      const whole is_near = clip_to_disc(slice->radius * slice->unit, &a, &b);
+      meets = meets && is_near;
     }
-    meets = clip_to_quadrant(meets, &a, &b);
-    if (!ANY(meets)) continue;
-    const real at_a = squared_height(a);
-    const real at_b = squared_height(b);
-    const real lower = max(min(at_a, at_b), (real)slice->low);
-    const real upper = min(max(at_a, at_b), (real)slice->high);
+    real lower, upper;
+    const whole blocks = heights_of(a, b, &lower, &upper);
+    meets = meets && blocks;
+    lower = max(lower, (real)slice->low);
+    upper = min(upper, (real)slice->high);
     uint found = lane_mask(meets && (lower < upper));
     float first[VEC], last[VEC];
     STORE(lower, first);
     STORE(upper, last);
+    const float low = slice->low;
+    const float high = slice->high;
     while (found != 0) {
       const uint lane = take_lowest(&found);
       if (!block_heights(slice, first[lane], last[lane])) return false;
     }
+    if (slice->low != low || slice->high != high) narrow_planes(slice);
   }
   return true;
 }
@@ -295,7 +308,7 @@ Slice slice_at(const ShadingPoint *p, const float radius, const float unit, cons
   Slice slice;
   slice.origin = ray_origin(p);
   slice.across = unit * (cosine * tangent + sine * bitangent);
-  slice.beside = unit * (cosine * bitangent - sine * tangent);
+  slice.beside = plane_through(slice.origin, unit * (cosine * bitangent - sine * tangent));
   slice.up = unit * p->normal;
   slice.radius = radius;
   slice.unit = unit;
@@ -304,6 +317,7 @@ Slice slice_at(const ShadingPoint *p, const float radius, const float unit, cons
   slice.low = 1.0f / (1.0f + rise * rise / (fall * fall));
   slice.high = 1.0f;
   slice.count = 0;
+  narrow_planes(&slice);
   return slice;
 }
 

@@ -11,6 +11,9 @@ from .hierarchy import BRANCH, box_levels, in_nodes, packed_order, padded
 # Intervals, apart from the lowest and the highest, that the union of what is blocked is kept in; slices
 # that need more are left to rays.
 MOST_BLOCKED = 16
+# What rounding may move a box from a plane by, of the largest coordinate: some three roundings of a sum of
+# three products.
+PLANE_ROUNDING = 8 * 2.0**-24
 
 
 class Slices:
@@ -23,7 +26,7 @@ class Slices:
     Attributes
     ----------
     arguments : tuple
-        One over the scene's extent, levels' first nodes, nodes of boxes, and leaves of triangles, as
+        One over the largest coordinate, levels' first nodes, nodes of boxes, and leaves of triangles, as
         slices.cl lays them out.
     """
 
@@ -35,7 +38,7 @@ class Slices:
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
         self._levels = len(levels)
         self.arguments = (
-            1 / float((upper.max(axis=0) - lower.min(axis=0)).max()),
+            1 / float(np.abs(corners).max()),
             HostArray.of(device, firsts.astype(np.uint32)),
             HostArray.of(device, np.concatenate(levels)),
             # Triangles without extent: no plane has their corners on two sides.
@@ -48,4 +51,5 @@ class Slices:
             "BRANCH": f"{BRANCH}u",
             "SLICE_LEVELS": f"{self._levels}u",
             "MOST_BLOCKED": f"{MOST_BLOCKED}u",
+            "PLANE_ROUNDING": f"{PLANE_ROUNDING!r}f",
         }
