@@ -24,6 +24,8 @@ CASES = {
     "occluders-ao-slides": ("occluders", "ao", {"method": "ncv", "preset": "slides", "train_spp": 8}),
     "occluders-ao-mc": ("occluders", "ao", {"method": "mc"}),
     "occluders-ao-independent": ("occluders", "ao", {"method": "mc", "sampler": "independent"}),
+    "occluders-ao-lines": ("occluders", "ao", {"method": "mc", "visibility": "lines"}),
+    "knot-ao-lines": ("knot", "ao", {"method": "mc", "visibility": "lines"}),
     "cornell-direct-mc": ("cornell_box", "direct", {"method": "mc"}),
     "occluders-direct-mc": ("occluders", "direct", {"method": "mc"}),
     "cornell-direct-pilot": ("cornell_box", "direct", {"method": "mc", "allocation": "pilot"}),

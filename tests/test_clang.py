@@ -110,7 +110,10 @@ def render_everything(device: Device, folder: Path) -> None:
             preset=preset,
             device=device,
         )
-    render(scene, "ao", "ncv", spp=2, train_spp=1, size=(4, 4), density="subdivision", device=device)
+    options = {"spp": 2, "train_spp": 1, "size": (4, 4), "device": device}
+    render(scene, "ao", "ncv", density="subdivision", **options)
+    for sampler, density in zip(SAMPLERS, ("subdivision", "table"), strict=True):
+        render(scene, "ao", "ncv", sampler=sampler, density=density, visibility="lines", **options)
 
 
 def estimate_everything(device: Device) -> None:

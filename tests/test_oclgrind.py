@@ -102,6 +102,14 @@ def test_simulator_finds_no_fault_in_a_density_by_the_subdivision(vec, lanes, sc
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("name, density", [("cornell_box", "none"), ("interior", "table")])
+def test_simulator_finds_no_fault_in_slices(name, density, vec, lanes, scenes, tmp_path):
+    arguments = ("ao", "ncv", "sobol", str(vec), str(lanes), density, "lines")
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("hidden", ["5x4", "3x3x3"])
 @pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, tmp_path):

@@ -11,9 +11,9 @@ from .hierarchy import BRANCH, box_levels, in_nodes, packed_order, padded
 # Intervals, apart from the lowest and the highest, that the union of what is blocked is kept in; slices
 # that need more are left to rays.
 MOST_BLOCKED = 16
-# What rounding may move a box from a plane by, of the largest coordinate: some three roundings of a sum of
-# three products.
-PLANE_ROUNDING = 8 * 2.0**-24
+# What rounding may move a box from a plane by, of the largest coordinate: six roundings of sums of up to
+# 2 * 3^0.5.
+PLANE_ROUNDING = 24 * 2.0**-24
 
 
 class Slices:
