@@ -40,7 +40,7 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    if integrand.to_lights and settings.visibility == "auto" and points.active:
+    if integrand.to_lights and settings.visibility != "embree" and points.active:
         with watch("shafts"):
             occluders = Occluders(device, scene, points, integrand)
     source = sample_source(
@@ -53,7 +53,8 @@ def prepare(
         settings.seed,
         samples_a_pass,
         occluders,
-        shadows_tested=settings.visibility == "auto",
+        lines=settings.visibility == "lines",
+        shadows_tested=settings.visibility != "embree",
     )
     return points, source
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from .device import Device, HostArray
 from .integrands import Integrand
+from .lines import line_defines
 from .points import ShadingPoints, surface_defines
 from .program import build
 from .sampler import Stream, sampler_defines, seed_words
@@ -42,6 +43,8 @@ class RayCount:
     traced, skipped : int
     on_device : int
         Answered by testing a point's few occluders.
+    off_lines : int
+        Of these, samples whose lines have too many gaps to be kept.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
@@ -49,6 +52,7 @@ class RayCount:
     traced: int = 0
     skipped: int = 0
     on_device: int = 0
+    off_lines: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
 
@@ -150,6 +154,8 @@ class SampleSource(Batches):
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
         What decides visibility where it is known; by default embree decides all.
+    lines : bool
+        Whether samples at points whose occluders are known lie where lines see the lights.
     """
 
     def __init__(
@@ -163,6 +169,7 @@ class SampleSource(Batches):
         seed: int,
         samples_per_point: int,
         occluders: Occluders | None = None,
+        lines: bool = False,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
         self._tracer = tracer
@@ -174,6 +181,7 @@ class SampleSource(Batches):
             **integrand.defines(scene),
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
+            "LINES": int(lines and occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
             "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
             "WARPED": 0,
@@ -183,6 +191,8 @@ class SampleSource(Batches):
         self._occluders: list[object] = []
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
+            if lines:
+                shaft, defines = ("shaft", "lines"), {**defines, **line_defines()}
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)
@@ -192,7 +202,7 @@ class SampleSource(Batches):
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
         self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 2, np.uint32)
+        self._ray_count = HostArray(device, 3, np.uint32)
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
@@ -257,7 +267,7 @@ class SampleSource(Batches):
             self._distances,
             self._ray_count,
         )
-        rays, on_device = self._ray_count.read().tolist()
+        rays, on_device, off_lines = self._ray_count.read().tolist()
         started = time.perf_counter()
         with (
             self._origins.mapped(count=rays) as origins,
@@ -271,6 +281,7 @@ class SampleSource(Batches):
         self.rays.sample_seconds += started - begun
         self.rays.traced += rays
         self.rays.on_device += on_device
+        self.rays.off_lines += off_lines
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, *warp[1:])

@@ -17,7 +17,7 @@ from .sampler import SAMPLERS, HostStream, host_generator, seed_words
 
 METHODS = ("auto", "ncv", "mc")
 DENSITIES = ("table", "subdivision", "none")
-VISIBILITIES = ("auto", "embree")
+VISIBILITIES = ("auto", "lines", "embree")
 ALLOCATIONS = ("magnitude", "pilot", "uniform")
 # What the kernels' indices of 32 bits can count.
 MOST_SAMPLES = 1 << 31

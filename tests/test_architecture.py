@@ -27,7 +27,7 @@ ORDER = (
     "sampler trace",
     "points",
     "integrands",
-    "shadow shaft",
+    "lines shadow shaft",
     "encode integration_stage warp",
     "samples",
     "guide",
