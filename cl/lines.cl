@@ -12,6 +12,9 @@
  * numbers are found once for all lines, for VEC triangles at a time; lines then take VEC lanes.
  * Two triangles with a common edge get the same numbers with their signs turned, so their intervals meet bit for bit.
  *
+ * Lines are brought in order of u where there are many triangles, so that those of a vector are neighbours, and
+ * only some of the triangles' shadows, seen as ranges of x, reach them.
+ *
  * Gaps are cut out of the whole line, triangle after triangle, in any order: what blocks twice does no harm. A line
  * with more than MOST_GAPS of them is refused: its sample stays where it was, and is tested as a point.
  *
@@ -22,11 +25,18 @@
 
 /* A function's half-line: its lower end is [0] + [1] x, its upper end [2] + [3] x, one of which is far away. */
 #define HALF_LINE 4
-/* Three sides of a triangle and its plane. */
-#define TRIANGLE_ROWS (4 * HALF_LINE)
+/* Three sides of a triangle and its plane; least and largest x of its shadow. */
+#define LEAST_X (4 * HALF_LINE)
+#define LARGEST_X (LEAST_X + 1)
+#define TRIANGLE_ROWS (LEAST_X + 2)
+/* Triangles looked at together: what is known of them is kept at hand. A multiple of VEC. */
+#define TRIANGLES_AT_HAND 64
+#define ITEM_SAMPLES (BLOCKS_A_ITEM * VEC)
 #define FAR_AWAY FLT_MAX
 /* Half-lines begin at most this many times as far from the middle as a light does. */
 #define STEEPEST 0x1.0p30f
+/* What rounding may move a shadow by, of the coordinates on the light that enter. */
+#define SHADOW_MARGIN 0x1.0p-14f
 /* Gaps that are shorter than this part of the line, or of its distance, are rounding errors between triangles. */
 #define SLIVER 0x1.0p-22f
 
@@ -35,6 +45,8 @@ typedef struct {
   LightView view;
   bool large;                  /* seen by solid angle, else by area */
   float3 base, across, along;  /* ends of rays, from their origin */
+  float3 normal;               /* of the light, turned away from the point */
+  float distance;              /* of the ends' plane from the rays' origin */
   float largest_x, largest_y;  /* on the light */
   real horizon[2][HALF_LINE];
 } LightLines;
@@ -72,6 +84,14 @@ void half_line(const LightLines *lines, const real c0, const real c1, const real
   found[3] = SELECT((real)0.0f, end1, falls);
 }
 
+float max_lanes(const real x) {
+  float lane[VEC];
+  STORE(x, lane);
+  float largest_lane = lane[0];
+  for (uint k = 1; k < VEC; ++k) largest_lane = fmax(largest_lane, lane[k]);
+  return largest_lane;
+}
+
 LightLines lines_of(const ShadingPoint *p, global const float *restrict record) {
   LightLines lines;
   const float3 begin = vload3(0, record) - p->position;
@@ -87,6 +107,8 @@ LightLines lines_of(const ShadingPoint *p, global const float *restrict record) 
   const float height = dot(begin, normal);
   const float offset = light_offset(record, p->position);
   lines.base = (height + (height < 0.0f ? offset : -offset)) * normal - p->offset * p->geometric_normal;
+  lines.normal = height < 0.0f ? -normal : normal;
+  lines.distance = dot(lines.base, lines.normal);
   const float x0 = dot(begin, lines.across);
   const float y0 = dot(begin, lines.along);
   lines.largest_x = fmax(fabs(x0), fabs(x0 + record[27]));
@@ -100,12 +122,33 @@ LightLines lines_of(const ShadingPoint *p, global const float *restrict record) 
   return lines;
 }
 
-/* The half-lines whose common part a point's occluders block: TRIANGLE_ROWS rows of OCCLUDER_WORDS triangles. */
-void blocked_parts(const LightLines *lines, global const uint *restrict own, global const float *restrict corners,
-                   const uint stride, const float3 origin, float parts[TRIANGLE_ROWS * OCCLUDER_WORDS]) {
-  const uint count = own[0];
-  for (uint first = 0; first < count; first += VEC) {
-    const bits at = min(LANE_NUMBER + first, (bits)(count - 1));
+/* Least and largest x of a triangle's shadow on the light's plane. */
+void shadow_range(const LightLines *lines, const triple corner[3], real range[2]) {
+  const float base_x = dot(lines->base, lines->across);
+  range[0] = (real)FAR_AWAY;
+  range[1] = (real)-FAR_AWAY;
+  whole bounded = (whole)-1;
+  for (uint c = 0; c < 3; ++c) {
+    const real toward = exact_dot(corner[c], lines->normal);
+    const real sideways = exact_dot(corner[c], lines->across);
+    /* A corner beside the point or behind it: the shadow has no end. */
+    bounded = bounded && (toward * STEEPEST > fabs(sideways) + lines->distance);
+    const real x = sideways * (lines->distance / toward) - base_x;
+    const real margin = SHADOW_MARGIN * (fabs(x) + (lines->largest_x + fabs(base_x)));
+    range[0] = min(range[0], x - margin);
+    range[1] = max(range[1], x + margin);
+  }
+  range[0] = SELECT((real)-FAR_AWAY, range[0], bounded);
+  range[1] = SELECT((real)FAR_AWAY, range[1], bounded);
+}
+
+/* What the triangles `first` and on, TRIANGLES_AT_HAND at most, of a point's list block: rows of half-lines whose
+ * common part it is, and of their shadows' ranges. */
+void blocked_parts(const LightLines *lines, global const uint *restrict own, const uint first, const uint count,
+                   global const float *restrict corners, const uint stride, const float3 origin,
+                   float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND]) {
+  for (uint block = 0; block < count; block += VEC) {
+    const bits at = min(LANE_NUMBER + block, (bits)(count - 1)) + first;
     const whole triangle = TO_WHOLE(gather_bits(own + 1, at));
     triple corner[3];
     for (uint c = 0; c < 3; ++c) {
@@ -132,10 +175,14 @@ void blocked_parts(const LightLines *lines, global const uint *restrict own, glo
       sum[2] += c2;
     }
     half_line(lines, sum[0], sum[1], sum[2], half_lines[3]);
+    real range[2];
+    shadow_range(lines, corner, range);
     /* Seen edge-on, it blocks nothing. */
-    half_lines[0][0] = SELECT(half_lines[0][0], (real)FAR_AWAY, volume == 0.0f);
-    for (uint row = 0; row < TRIANGLE_ROWS; ++row)
-      STORE(half_lines[row / HALF_LINE][row % HALF_LINE], parts + row * OCCLUDER_WORDS + first);
+    range[0] = SELECT(range[0], (real)FAR_AWAY, (volume == 0.0f) || (LANE_NUMBER + block >= (bits)count));
+    for (uint row = 0; row < LEAST_X; ++row)
+      STORE(half_lines[row / HALF_LINE][row % HALF_LINE], parts + row * TRIANGLES_AT_HAND + block);
+    STORE(range[0], parts + LEAST_X * TRIANGLES_AT_HAND + block);
+    STORE(range[1], parts + LARGEST_X * TRIANGLES_AT_HAND + block);
   }
 }
 
@@ -177,34 +224,58 @@ void cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
   }
 }
 
-/* What is free of the lines at x, those of `here` that begin at `begin`. */
-Gaps free_gaps(const LightLines *lines, const float parts[TRIANGLE_ROWS * OCCLUDER_WORDS], const uint count, const real x,
-               const real begin, const whole here) {
+/* VEC lines of one light, and what is free of them so far. */
+typedef struct {
+  real x, begin, sliver;
+  float least_x, largest_x;
   Gaps gaps;
-  gaps.used = 1;
-  gaps.refused = (whole)0;
-  real low = begin;
-  real high = begin + lines->view.length;
+} Block;
+
+/* The lines of `here` whole, down to the surface's horizon. */
+void begin_block(const LightLines *lines, const real along, const whole here, Block *block) {
+  const LightView *view = &lines->view;
+  const real x = lines->large ? view_x(view, along, view_angle(view)) : FMA(along, view->width, view->x0);
+  block->x = x;
+  block->begin = FMA(x - view->x0, view->slope, view->y0);
+  block->sliver = SLIVER * min(view->length, sqrt(FMA(x, x, view->z * view->z)));
+  real low = block->begin;
+  real high = block->begin + view->length;
   for (int k = 0; k < 2; ++k) {
     low = max(low, FMA(lines->horizon[k][1], x, lines->horizon[k][0]));
     high = min(high, FMA(lines->horizon[k][3], x, lines->horizon[k][2]));
   }
-  gaps.low[0] = low;
-  gaps.high[0] = SELECT(low, high, here);
-  const real sliver = SLIVER * min(lines->view.length, sqrt(FMA(x, x, lines->view.z * lines->view.z)));
-  for (uint triangle = 0; triangle < count; ++triangle) {
-    const float *part = parts + triangle;
-    real from = (real)-FAR_AWAY;
-    real to = (real)FAR_AWAY;
-    for (uint k = 0; k < 4; ++k) {
-      from = max(from, FMA((real)part[OCCLUDER_WORDS], x, (real)part[0]));
-      to = min(to, FMA((real)part[3 * OCCLUDER_WORDS], x, (real)part[2 * OCCLUDER_WORDS]));
-      part += HALF_LINE * OCCLUDER_WORDS;
+  block->gaps.used = 1;
+  block->gaps.refused = (whole)0;
+  block->gaps.low[0] = low;
+  block->gaps.high[0] = SELECT(low, high, here);
+  const whole open = here && (low < high);
+  block->least_x = -max_lanes(SELECT((real)-FAR_AWAY, -x, open));
+  block->largest_x = max_lanes(SELECT((real)-FAR_AWAY, x, open));
+}
+
+/* Cuts from VEC lines what `count` triangles block. */
+void cut_block(const float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND], const uint count, Block *block) {
+  const real x = block->x;
+  for (uint first = 0; first < count; first += VEC) {
+    const whole near = (LOAD(parts + LEAST_X * TRIANGLES_AT_HAND + first) <= block->largest_x) &&
+                       (LOAD(parts + LARGEST_X * TRIANGLES_AT_HAND + first) >= block->least_x);
+    if (!ANY(near)) continue;
+    int is_near[VEC];
+    STORE(near, is_near);
+    for (uint lane = 0; lane < VEC; ++lane) {
+      if (is_near[lane] == 0) continue;
+      const float *part = parts + first + lane;
+      real from = (real)-FAR_AWAY;
+      real to = (real)FAR_AWAY;
+      for (uint k = 0; k < 4; ++k) {
+        from = max(from, FMA((real)part[TRIANGLES_AT_HAND], x, (real)part[0]));
+        to = min(to, FMA((real)part[3 * TRIANGLES_AT_HAND], x, (real)part[2 * TRIANGLES_AT_HAND]));
+        part += HALF_LINE * TRIANGLES_AT_HAND;
+      }
+      const whole blocks = from < to;
+      if (ANY(blocks)) cut_gaps(&block->gaps, SELECT((real)FAR_AWAY, from, blocks), to, block->sliver);
     }
-    const whole blocks = (from < to) && (from < high) && (to > low);
-    if (ANY(blocks)) cut_gaps(&gaps, SELECT((real)FAR_AWAY, from, blocks), to, sliver);
   }
-  return gaps;
 }
 
 /* From y0 to y1 of a line: the difference of sines, without cancellation where both lie on one side of its foot. */
@@ -219,9 +290,11 @@ real sine_between(const real squared, const real y0, const real y1) {
 }
 
 /* The v below which a share y of what is free lies; returns its length, as v measures it. */
-real place_in_gaps(const LightLines *lines, const Gaps *gaps, const real x, const real begin, const real y, real *v) {
+real place_in_gaps(const LightLines *lines, const Block *block, const real y, real *v) {
   const LightView *view = &lines->view;
-  const real squared = FMA(x, x, view->z * view->z);
+  const Gaps *gaps = &block->gaps;
+  const real begin = block->begin;
+  const real squared = FMA(block->x, block->x, view->z * view->z);
   const real whole_line = lines->large ? sine_between(squared, begin, begin + view->length) : view->length;
   const real inverse = 1.0f / whole_line;
   real start[MOST_GAPS], length[MOST_GAPS];
@@ -248,53 +321,89 @@ real place_in_gaps(const LightLines *lines, const Gaps *gaps, const real x, cons
   return total;
 }
 
+/* The order of u, roughly: by buckets, as many as there are. */
+void order_by_u(const float *u, const uint count, uint order[ITEM_SAMPLES]) {
+  uint begin[ITEM_SAMPLES + 1];
+  uint bucket[ITEM_SAMPLES];
+  for (uint k = 0; k <= count; ++k) begin[k] = 0;
+  for (uint k = 0; k < count; ++k) {
+    bucket[k] = min((uint)(u[k] * (float)count), count - 1);
+    ++begin[bucket[k] + 1];
+  }
+  for (uint k = 0; k < count; ++k) begin[k + 1] += begin[k];
+  for (uint k = 0; k < count; ++k) order[begin[bucket[k]]++] = k;
+}
+
 /* Moves samples (u, v) of a point whose occluders are known along their lines to where they see the light, for `blocks`
  * blocks of VEC; `share` gets what they count by, `refused` which ones stay where they are, and count by 1. */
 void take_visible(const ShadingPoint *p, global const float *restrict lights, global const uint *restrict own,
                   global const float *restrict corners, const uint stride, const uint blocks,
-                  const real u[BLOCKS_A_ITEM], real v[BLOCKS_A_ITEM], real share[BLOCKS_A_ITEM],
-                  whole refused[BLOCKS_A_ITEM]) {
+                  const float u[ITEM_SAMPLES], float v[ITEM_SAMPLES], float share[ITEM_SAMPLES],
+                  int refused[ITEM_SAMPLES]) {
   const float3 origin = ray_origin(p);
+  const uint samples = blocks * VEC;
+  const uint count = own[0];
+  uint order[ITEM_SAMPLES];
+  float sorted_u[ITEM_SAMPLES], sorted_v[ITEM_SAMPLES];
+  if (VEC > 1 && count >= SORTED_FROM) {
+    order_by_u(u, samples, order);
+  } else {
+    for (uint k = 0; k < samples; ++k) order[k] = k;
+  }
+  for (uint k = 0; k < samples; ++k) {
+    sorted_u[k] = u[order[k]];
+    sorted_v[k] = v[order[k]];
+  }
   global const float *restrict strips = strips_at(lights, p);
-  float parts[TRIANGLE_ROWS * OCCLUDER_WORDS];
+  float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND];
+  Block block[BLOCKS_A_ITEM];
   for (uint light = 0; light < LIGHT_COUNT; ++light) {
     const float first = strips[2 * light];
     const float width = strips[2 * light + 1];
-    whole any_here = (whole)0;
-    for (uint k = 0; k < blocks; ++k) any_here = any_here || ((u[k] >= first) && (u[k] < first + width));
-    if (!ANY(any_here)) continue;
     const LightLines lines = lines_of(p, lights + light * LIGHT_FLOATS);
-    const LightView *view = &lines.view;
-    blocked_parts(&lines, own, corners, stride, origin, parts);
     for (uint k = 0; k < blocks; ++k) {
-      const whole here = (u[k] >= first) && (u[k] < first + width);
-      if (!ANY(here)) continue;
-      const real along = (u[k] - first) / width;
-      const real x = lines.large ? view_x(view, along, view_angle(view)) : FMA(along, view->width, view->x0);
-      const real begin = FMA(x - view->x0, view->slope, view->y0);
-      const Gaps gaps = free_gaps(&lines, parts, own[0], x, begin, here);
-      const whole moved = here && !gaps.refused;
+      const real own_u = LOAD(sorted_u + k * VEC);
+      begin_block(&lines, (own_u - first) / width, (own_u >= first) && (own_u < first + width), &block[k]);
+    }
+    for (uint at = 0; at < count; at += TRIANGLES_AT_HAND) {
+      const uint at_hand = min(count - at, (uint)TRIANGLES_AT_HAND);
+      blocked_parts(&lines, own, at, at_hand, corners, stride, origin, parts);
+      for (uint k = 0; k < blocks; ++k) cut_block(parts, at_hand, &block[k]);
+    }
+    for (uint k = 0; k < blocks; ++k) {
+      const real own_u = LOAD(sorted_u + k * VEC);
+      const whole here = (own_u >= first) && (own_u < first + width);
       real place;
-      const real length = place_in_gaps(&lines, &gaps, x, begin, v[k], &place);
-      v[k] = SELECT(v[k], place, moved);
-      share[k] = SELECT(share[k], length, moved);
-      refused[k] = refused[k] || (here && gaps.refused);
+      float places[VEC], lengths[VEC];
+      int is_here[VEC], is_refused[VEC];
+      STORE(place_in_gaps(&lines, &block[k], LOAD(sorted_v + k * VEC), &place), lengths);
+      STORE(place, places);
+      STORE(here, is_here);
+      STORE(block[k].gaps.refused, is_refused);
+      for (uint lane = 0; lane < VEC; ++lane) {
+        const uint sample = order[k * VEC + lane];
+        if (is_here[lane] == 0) continue;
+        refused[sample] = is_refused[lane];
+        if (is_refused[lane] != 0) continue;
+        v[sample] = places[lane];
+        share[sample] = lengths[lane];
+      }
     }
   }
 }
 
 /* Takes from `open` those of the `refused` that are blocked; returns how many were tested. */
 uint test_refused(global const uint *restrict own, global const float *restrict corners, const uint stride,
-                  const float3 origin, const real direction[BLOCKS_A_ITEM][3], const whole refused[BLOCKS_A_ITEM],
+                  const float3 origin, const real direction[BLOCKS_A_ITEM][3], const int refused[ITEM_SAMPLES],
                   whole open[BLOCKS_A_ITEM]) {
   whole tested[BLOCKS_A_ITEM];
   uint count = 0;
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
-    tested[k] = open[k] && refused[k];
+    tested[k] = open[k] && LOAD(refused + k * VEC);
     count += (uint)sum_lanes(SELECT((real)0.0f, (real)1.0f, tested[k]));
   }
   if (count == 0) return 0;
   close_blocked(own, corners, stride, origin, direction, tested);
-  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) open[k] = open[k] && (tested[k] || !refused[k]);
+  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) open[k] = open[k] && (tested[k] || !LOAD(refused + k * VEC));
   return count;
 }

@@ -52,29 +52,31 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
 
-  real sample_u[BLOCKS_A_ITEM], sample_v[BLOCKS_A_ITEM];
+  float sample_u[BLOCKS_A_ITEM * VEC], sample_v[BLOCKS_A_ITEM * VEC];
   uint own_blocks = 0;
   for (uint block = first_block; block < blocks; block += items_a_point) {
-    const uint k = own_blocks++;
     const ulong at = (ulong)local_point * stride + block * VEC;
-    sample_square(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &sample_u[k],
-                  &sample_v[k]);
+    real own_u, own_v;
+    sample_square(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
 #if WARPED
     global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
-    STORE(warp_square(record, &sample_u[k], &sample_v[k]), weight + at);
+    STORE(warp_square(record, &own_u, &own_v), weight + at);
 #endif
-    STORE(sample_u[k], u + at);
-    STORE(sample_v[k], v + at);
+    STORE(own_u, u + at);
+    STORE(own_v, v + at);
+    STORE(own_u, sample_u + own_blocks * VEC);
+    STORE(own_v, sample_v + own_blocks * VEC);
+    ++own_blocks;
   }
 #if SHAFTS
   global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
 #endif
 #if LINES
-  real share[BLOCKS_A_ITEM];
-  whole refused[BLOCKS_A_ITEM];
-  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
-    share[k] = (real)1.0f;
-    refused[k] = (whole)0;
+  float share[BLOCKS_A_ITEM * VEC];
+  int refused[BLOCKS_A_ITEM * VEC];
+  for (uint k = 0; k < BLOCKS_A_ITEM * VEC; ++k) {
+    share[k] = 1.0f;
+    refused[k] = 0;
   }
   const bool moves = own_occluders[0] != TOO_MANY && own_occluders[0] > 0;
   if (moves)
@@ -94,10 +96,10 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     const ulong at = (ulong)local_point * stride + block * VEC;
     const bits index = LANE_NUMBER + block * VEC;
     real sample_value[CHANNELS];
-    evaluate_integrand(&p, integrand_data, sample_u[k], sample_v[k], sample_value, direction[k], &distance[k]);
+    evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), sample_value, direction[k], &distance[k]);
     for (uint channel = 0; channel < CHANNELS; ++channel) {
 #if LINES
-      sample_value[channel] *= share[k];
+      sample_value[channel] *= LOAD(share + k * VEC);
 #endif
       sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
       live[k] = live[k] || (sample_value[channel] > 0.0f);

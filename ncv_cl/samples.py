@@ -194,6 +194,7 @@ class SampleSource(Batches):
             if lines:
                 shaft, defines = ("shaft", "lines"), {**defines, **line_defines()}
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+        self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
@@ -244,7 +245,7 @@ class SampleSource(Batches):
             program = build(self.device, files, self._warped_defines | density.defines)
             warp = [density.records(order, points), self._weight]
         program.kernel("draw_samples")(
-            len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
+            len(points) * -(-stride // self._item_samples),
             points.start,
             len(points),
             self.points.total,
