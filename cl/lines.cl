@@ -278,6 +278,17 @@ void cut_block(const float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND], const uint 
   }
 }
 
+/* Cuts from the lines of `blocks` blocks what the triangles of a point's list block. */
+void cut_lines(const LightLines *lines, global const uint *restrict own, global const float *restrict corners,
+               const uint stride, const float3 origin, const uint blocks, Block block[BLOCKS_A_ITEM]) {
+  float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND];
+  for (uint at = 0; at < own[0]; at += TRIANGLES_AT_HAND) {
+    const uint count = min(own[0] - at, (uint)TRIANGLES_AT_HAND);
+    blocked_parts(lines, own, at, count, corners, stride, origin, parts);
+    for (uint k = 0; k < blocks; ++k) cut_block(parts, count, &block[k]);
+  }
+}
+
 /* From y0 to y1 of a line: the difference of sines, without cancellation where both lie on one side of its foot. */
 real sine_between(const real squared, const real y0, const real y1) {
   const real inverse0 = rsqrt(FMA(y0, y0, squared));
@@ -342,10 +353,9 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
                   int refused[ITEM_SAMPLES]) {
   const float3 origin = ray_origin(p);
   const uint samples = blocks * VEC;
-  const uint count = own[0];
   uint order[ITEM_SAMPLES];
   float sorted_u[ITEM_SAMPLES], sorted_v[ITEM_SAMPLES];
-  if (VEC > 1 && count >= SORTED_FROM) {
+  if (VEC > 1 && own[0] >= SORTED_FROM) {
     order_by_u(u, samples, order);
   } else {
     for (uint k = 0; k < samples; ++k) order[k] = k;
@@ -355,7 +365,6 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
     sorted_v[k] = v[order[k]];
   }
   global const float *restrict strips = strips_at(lights, p);
-  float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND];
   Block block[BLOCKS_A_ITEM];
   for (uint light = 0; light < LIGHT_COUNT; ++light) {
     const float first = strips[2 * light];
@@ -365,11 +374,7 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
       const real own_u = LOAD(sorted_u + k * VEC);
       begin_block(&lines, (own_u - first) / width, (own_u >= first) && (own_u < first + width), &block[k]);
     }
-    for (uint at = 0; at < count; at += TRIANGLES_AT_HAND) {
-      const uint at_hand = min(count - at, (uint)TRIANGLES_AT_HAND);
-      blocked_parts(&lines, own, at, at_hand, corners, stride, origin, parts);
-      for (uint k = 0; k < blocks; ++k) cut_block(parts, at_hand, &block[k]);
-    }
+    cut_lines(&lines, own, corners, stride, origin, blocks, block);
     for (uint k = 0; k < blocks; ++k) {
       const real own_u = LOAD(sorted_u + k * VEC);
       const whole here = (own_u >= first) && (own_u < first + width);

@@ -35,8 +35,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const uint *restrict density, global float *restrict weight,
 #endif
 #if SHAFTS
-                         const uint corner_stride, global const uint *restrict occluders,
-                         global const float *restrict corners,
+                         const uint corner_stride, global const uint *restrict starts,
+                         global const uint *restrict occluders, global const float *restrict corners,
 #endif
                          global float *restrict u, global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
@@ -69,7 +69,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     ++own_blocks;
   }
 #if SHAFTS
-  global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
+  global const uint *restrict own_occluders = occluders + starts[point];
 #endif
 #if LINES
   float share[BLOCKS_A_ITEM * VEC];

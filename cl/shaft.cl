@@ -17,7 +17,9 @@
  * Memory layout: `boxes`: planes of box_stride floats: lower x, y, z, upper x, y, z; the boxes of triangles, then
  * those of these boxes, then those of these (first_1, first_2). Box k of a level holds number k * BRANCH and on
  * of the level below. `corners`: planes of corner_stride floats, x, y, z of each triangle's corner 0, then 1,
- * then 2. `occluders`: OCCLUDER_WORDS words a point: how many (TOO_MANY: not known), and which; `lengths`: how many.
+ * then 2. `occluders`: lists one after another, each how many triangles (TOO_MANY: not known) and which; a point's
+ * begins at its number in `starts`. The first two words are the lists of all points that have too many, and of all that
+ * have none. `lengths`: how many; `cursor`: where the next list begins, in whatever order points are done.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_occluders is one work-item a
  * point.
@@ -120,14 +122,15 @@ uint triangles_in_shaft(const Plane *plane, const float3 origin, global const fl
 
 /* Adds those of `found`, numbered from `first`, to the list, of which the first `before` are another light's; returns
  * its length, TOO_MANY if they do not fit. */
-uint list_occluders(const uint found, const uint first, const uint before, uint count, global uint *restrict own) {
+uint list_occluders(const uint found, const uint first, const uint before, const uint most, uint count,
+                    uint own[MOST_OCCLUDERS]) {
   for (uint bit = 0; found >> bit != 0; ++bit) {
     if ((found >> bit & 1u) == 0) continue;
     bool is_new = true;
-    for (uint k = 1; k <= before; ++k) is_new = is_new && own[k] != first + bit;
+    for (uint k = 0; k < before; ++k) is_new = is_new && own[k] != first + bit;
     if (!is_new) continue;
-    if (count == MOST_OCCLUDERS) return TOO_MANY;
-    own[++count] = first + bit;
+    if (count == most) return TOO_MANY;
+    own[count++] = first + bit;
   }
   return count;
 }
@@ -135,15 +138,16 @@ uint list_occluders(const uint found, const uint first, const uint before, uint 
 kernel void find_occluders(const uint point_count, const uint total_points, const float tolerance,
                            const uint triangle_count, const uint corner_stride, const uint box_stride,
                            const uint count_0, const uint first_1, const uint count_1, const uint first_2,
-                           const uint count_2, global const float *restrict surface,
-                           global const float *restrict lights, global const float *restrict boxes,
-                           global const float *restrict corners, global uint *restrict occluders,
-                           global uint *restrict lengths) {
+                           const uint count_2, const uint most, const uint capacity,
+                           global const float *restrict surface, global const float *restrict lights,
+                           global const float *restrict boxes, global const float *restrict corners,
+                           global uint *restrict occluders, global uint *restrict starts,
+                           global uint *restrict lengths, volatile global uint *restrict cursor) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   const float3 origin = ray_origin(&p);
-  global uint *restrict own = occluders + point * (ulong)OCCLUDER_WORDS;
+  uint own[MOST_OCCLUDERS];
   uint count = 0;
   for (uint light = 0; light < LIGHT_COUNT && count != TOO_MANY; ++light) {
     const uint before = count;
@@ -163,13 +167,21 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
             if ((in_bottom >> k & 1u) == 0) continue;
             const uint first = (bottom + k) * BRANCH;
             count = list_occluders(triangles_in_shaft(plane, origin, corners, corner_stride, first, triangle_count),
-                                   first, before, count, own);
+                                   first, before, most, count, own);
           }
         }
       }
     }
   }
-  own[0] = lengths[point] = count;
+  lengths[point] = count;
+  starts[point] = count == TOO_MANY ? 0u : 1u;
+  if (count == TOO_MANY || count == 0) return;
+  const uint start = atomic_add(cursor, count + 1);
+  /* What does not fit the host sees from the lengths, and asks for shorter lists. */
+  if (start >= capacity || count >= capacity - start) return;
+  starts[point] = start;
+  occluders[start] = count;
+  for (uint k = 0; k < count; ++k) occluders[start + 1 + k] = own[k];
 }
 
 /* a x b, exactly the negative of b x a: no product may be fused into the difference. */

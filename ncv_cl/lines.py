@@ -5,6 +5,8 @@ from __future__ import annotations
 # Free parts of a line that are kept apart; of a line with more samples are tested as points.
 MOST_GAPS = 8
 
+# Occluders that are listed at most for a point.
+MOST_ON_LINES = 1023
 # Blocks of VEC lines of one point that one work-item draws.
 LINE_BLOCKS = 16
 # Occluders from which on it pays to bring lines in order.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from .device import Device
+from .lines import MOST_ON_LINES
 from .paths import sample_source
 from .points import ShadingPoints, find_points
 from .samples import SampleSource
 from .scene import Scene
 from .settings import RenderSettings, Stopwatch
-from .shaft import Occluders
+from .shaft import MOST_OCCLUDERS, Occluders
 from .trace import Tracer
 
 
@@ -40,9 +41,11 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
+    lines = settings.visibility == "lines"
     if integrand.to_lights and settings.visibility != "embree" and points.active:
         with watch("shafts"):
-            occluders = Occluders(device, scene, points, integrand)
+            most = MOST_ON_LINES if lines else MOST_OCCLUDERS
+            occluders = Occluders(device, scene, points, integrand, most)
     source = sample_source(
         device,
         scene,
@@ -53,7 +56,7 @@ def prepare(
         settings.seed,
         samples_a_pass,
         occluders,
-        lines=settings.visibility == "lines",
+        lines=lines,
         shadows_tested=settings.visibility != "embree",
     )
     return points, source

@@ -193,7 +193,7 @@ class SampleSource(Batches):
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
             if lines:
                 shaft, defines = ("shaft", "lines"), {**defines, **line_defines()}
-            self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+            self._occluders = [occluders.stride, occluders.starts, occluders.lists, occluders.corners]
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
         self._program = build(device, files, defines)

@@ -10,13 +10,14 @@ from ncv_cl.estimate import Estimator
 from ncv_cl.image import Image
 from ncv_cl.integrands import Integrand
 from ncv_cl.integrands.lights import SMALL_LIGHT
+from ncv_cl.lines import MOST_ON_LINES
 from ncv_cl.paths import sample_source
 from ncv_cl.points import ShadingPoints, find_points
 from ncv_cl.program import Kernel, device_defines, option_list, source
 from ncv_cl.resolve import resolve_image
 from ncv_cl.samples import SEEN, Batch, SampleSource
 from ncv_cl.scene import Camera, Material, QuadLight, Scene
-from ncv_cl.shaft import Occluders
+from ncv_cl.shaft import MOST_OCCLUDERS, Occluders
 from ncv_cl.trace import Hits, Tracer
 from ncv_cl.warp import DENSITY_BINS, EDGE_UNITS
 
@@ -307,14 +308,18 @@ def sampling(
     seed: int = 1,
     with_occluders: bool = False,
     shadows_tested: bool = False,
+    lines: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded."""
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
-    occluders = Occluders(device, scene, points, integrand) if with_occluders else None
+    occluders = None
+    if with_occluders or lines:
+        most = MOST_ON_LINES if lines else MOST_OCCLUDERS
+        occluders = Occluders(device, scene, points, integrand, most)
     samples_of = sample_source(
         device, scene, recorder, points, integrand, sampler, seed, samples, occluders,
-        shadows_tested=shadows_tested,
+        lines=lines, shadows_tested=shadows_tested,
     )  # fmt: skip
     return points, samples_of, recorder
 
