@@ -22,9 +22,9 @@ from references import Reference, reference
 from training import CASES, SCENES
 
 import ncv_cl as ncv
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
 from ncv_cl.integrands import INTEGRANDS
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
 
 INDEPENDENT, SOBOL, PILOT = "MC, independent", "MC, Sobol", "MC, Sobol, pilot"
 SLIDES, DEFAULT, NO_DENSITY, AUTO = "NCV, slides", "NCV", "NCV, no density", "auto"

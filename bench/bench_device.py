@@ -24,13 +24,13 @@ import numpy as np
 from device_checks import SCENES, validate
 
 import ncv_cl as ncv
-from ncv_cl.choose import choose_device
-from ncv_cl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
-from ncv_cl.encode import Encoding
-from ncv_cl.network import GROUPS, NetworkDescription
-from ncv_cl.presets import PRESETS
-from ncv_cl.program import build
-from ncv_cl.report import package_version
+from ncv_cl.network.encode import Encoding
+from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
+from ncv_cl.opencl.program import build
+from ncv_cl.output.report import package_version
+from ncv_cl.settings.presets import PRESETS
 
 CASES = (("cornell_box", "direct", "mc"), ("cornell_box", "direct", "ncv"), ("occluders", "ao", "ncv"))
 # (VEC, LANES) to try; LANES work-items of a GPU share a point, a CPU's vectors do.

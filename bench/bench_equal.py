@@ -23,8 +23,8 @@ from references import z_test
 from training import CASES, SCENES
 
 import ncv_cl as ncv
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
 
 # Samples of the short render with independent samples, and of those that must agree.
 FEW = 64

@@ -29,20 +29,20 @@ from bench_curves import stages
 from crossover import Curve, crossover
 
 import ncv_cl as ncv
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
-from ncv_cl.encode import GridCube, varying_inputs
-from ncv_cl.estimate import Estimator
 from ncv_cl.integrands import GlobalIllumination
-from ncv_cl.learn import learn
-from ncv_cl.network import FoldedNetwork
-from ncv_cl.paths import PathSource
-from ncv_cl.points import find_points
-from ncv_cl.sampler import Stream
-from ncv_cl.settings import RenderSettings, Stopwatch
-from ncv_cl.shaft import Occluders
-from ncv_cl.split import render_split
-from ncv_cl.trace import Hits, Tracer
+from ncv_cl.learning.learn import learn
+from ncv_cl.network.encode import GridCube, varying_inputs
+from ncv_cl.network.network import FoldedNetwork
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
+from ncv_cl.points.points import find_points
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Hits, Tracer
+from ncv_cl.rendering.split import render_split
+from ncv_cl.sampling.accumulate import Accumulator
+from ncv_cl.sampling.paths import PathSource
+from ncv_cl.settings.settings import RenderSettings, Stopwatch
+from ncv_cl.visibility.shaft import Occluders
 
 SCENES = Path(__file__).parent.parent / "scenes"
 NAMES = ("cornell_box", "interior")
@@ -212,11 +212,11 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
     learned = learn(device, cube, source, settings, inputs, lambda _: None, Stopwatch(), lambda: False)
     if learned.network is None:
         raise SystemExit(f"{case.scene.name}: training diverged")
-    estimator = Estimator(device, points, 3, FoldedNetwork(device, learned.network, points))
+    accumulator = Accumulator(device, points, 3, FoldedNetwork(device, learned.network, points))
     noise = weight = 0.0
     for part in source.batches():
         first = source.draw(part, range(samples), Stream.RESIDUAL)
-        estimator.add(first)
+        accumulator.add(first)
         count = len(part) * first.stride
         once = first.value.read().ravel()[: 3 * count].astype(float)
         # The same points of the square, other paths.
@@ -224,8 +224,8 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
         twice = again.value.read().ravel()[: 3 * count]
         noise += float(((once - twice) ** 2).sum()) / 2
         weight += 3 * len(part) * samples
-    estimator.finish_pass(samples)
-    plain, residual = estimator.result(0).variance.mean(), estimator.result(1)
+    accumulator.finish_pass(samples)
+    plain, residual = accumulator.result(0).variance.mean(), accumulator.result(1)
     nested = noise / weight
     # E[(f − g)²] is the network's squared error plus the noise of f.
     square = float((residual.variance + residual.mean**2).mean())

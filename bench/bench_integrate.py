@@ -24,10 +24,10 @@ from integrate_speed import edge_subdivision_table, memory_table, scaling_table,
 from rational import hard_networks, point_network, relative_errors
 from torture import LIMIT, torture
 
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
-from ncv_cl.integrate import integrate
-from ncv_cl.integrator import METHODS
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.integration.integrator import METHODS
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
 
 
 def stress_table(device: Device) -> list[dict]:

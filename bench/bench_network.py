@@ -18,12 +18,12 @@ from types import ModuleType
 import numpy as np
 from training import TrainingCase
 
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device, HostArray
-from ncv_cl.encode import Encoding
-from ncv_cl.network import GROUPS, NetworkDescription
-from ncv_cl.presets import PRESETS
-from ncv_cl.program import build
+from ncv_cl.network.encode import Encoding
+from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.opencl.program import build
+from ncv_cl.settings.presets import PRESETS
 
 POINTS, SAMPLES, CHANNELS = 1024, 256, 3
 NETWORKS = {
@@ -148,10 +148,10 @@ def torch_training_ns(torch: ModuleType, case: TrainingCase, quick: bool) -> flo
     fixed = encoding.feature_count - encoding.grid_rows
     heads = torch.nn.Linear(encoding.feature_count, description.head_rows)
     w2 = torch.nn.Parameter(torch.randn(second, first, generator=generator) * (2 / first) ** 0.5)
-    adam = torch.optim.Adam([w2, *heads.parameters()], lr=preset.settings.rate)
+    adam = torch.optim.Adam([w2, *heads.parameters()], lr=preset.schedule.rate)
     # Ours updates only the entries that a minibatch touches, so PyTorch is given its sparse Adam.
-    sparse_adam = torch.optim.SparseAdam([table], lr=preset.settings.rate)
-    columns, samples = preset.settings.batch, preset.settings.samples_a_step
+    sparse_adam = torch.optim.SparseAdam([table], lr=preset.schedule.rate)
+    columns, samples = preset.schedule.batch, preset.schedule.samples_a_step
     corner = torch.randint(0, len(table), (device_points, encoding.grid_levels, 8), generator=generator)
     weight = torch.rand(device_points, encoding.grid_levels, 8, 1, generator=generator)
     features = torch.rand(device_points, fixed, generator=generator)

@@ -21,8 +21,8 @@ from references import reference
 from training import SCENES
 
 import ncv_cl as ncv
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
 
 matplotlib.use("Agg")
 from matplotlib import pyplot

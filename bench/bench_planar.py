@@ -23,7 +23,7 @@ from planar import FAMILIES, INTEGRANDS, Family
 from planar_measure import Sizes, equal_samples, equal_time, validate
 from planar_plot import plot
 
-from ncv_cl.choose import choose_device
+from ncv_cl.opencl.choose import choose_device
 
 # Nanoseconds that a value of f is charged: none, and about a sample's shadow ray and shading.
 COSTS = (0.0, 1000.0)

@@ -132,7 +132,7 @@ def _measure(job: dict) -> dict:
     """One configuration's seconds and bytes."""
     if "threads" in job and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: job["threads"]])
-    from ncv_cl.choose import choose_device
+    from ncv_cl.opencl.choose import choose_device
 
     device = choose_device(job["device"])
     found = _integrate(job, device) if "points" in job else _render(job, device)
@@ -141,7 +141,7 @@ def _measure(job: dict) -> dict:
 
 def _render(job: dict, device: object) -> dict:
     import ncv_cl as ncv
-    from ncv_cl.presets import PRESETS
+    from ncv_cl.settings.presets import PRESETS
 
     preset = "default"
     if "width" in job:
@@ -213,7 +213,7 @@ class HighWater:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """While the block lasts, stages that a `Stopwatch` times are watched."""
-        from ncv_cl.settings import Stopwatch
+        from ncv_cl.settings.settings import Stopwatch
 
         timed = Stopwatch.__call__
         watch = self
@@ -263,7 +263,7 @@ def spheres(count: int, subdivisions: int) -> object:
     """A `Scene` of `count` smooth spheres at random over a plane, under a light."""
     import trimesh
 
-    from ncv_cl.scene import Camera, Material, QuadLight, Scene
+    from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
 
     generator = np.random.default_rng(7)
     ball = trimesh.creation.icosphere(subdivisions)

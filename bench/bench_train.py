@@ -11,12 +11,12 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from schedules import PASSES, SEEDS, measure_schedules, schedule_table
+from schedules import EPOCHS, SEEDS, measure_schedules, schedule_table
 from training import CASES, TrainingCase
 
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
-from ncv_cl.presets import PRESETS, Preset
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
+from ncv_cl.settings.presets import PRESETS, Preset
 
 # An image with more points than training wants samples, and training samples a point there, on average.
 LARGE, LARGE_SPP = 1024, 2
@@ -36,10 +36,10 @@ def main() -> None:
     for scene, integrand in CASES:
         case = TrainingCase(device, scene, integrand, size)
         compiled = set()
-        for name, samples, passes in runs(budgets, options.quick):
-            preset = with_passes(name, passes)
+        for name, samples, epochs in runs(budgets, options.quick):
+            preset = with_epochs(name, epochs)
             if (name, samples) not in compiled:
-                case.run(with_passes(name, 1), samples)
+                case.run(with_epochs(name, 1), samples)
                 compiled.add((name, samples))
             outcome = case.run(preset, samples)
             rows.append(
@@ -48,19 +48,19 @@ def main() -> None:
                     "integrand": integrand,
                     "preset": name,
                     "samples": samples,
-                    "passes": passes,
+                    "epochs": epochs,
                     **asdict(outcome),
                 }
             )
             report_line(rows[-1], size)
-        passes, seeds = (PASSES[:2], SEEDS[:1]) if options.quick else (PASSES, SEEDS)
-        found = measure_schedules(case, budgets[-1], passes, seeds)
+        epochs, seeds = (EPOCHS[:2], SEEDS[:1]) if options.quick else (EPOCHS, SEEDS)
+        found = measure_schedules(case, budgets[-1], epochs, seeds)
         schedules[f"{scene} {integrand}"] = found
         if not options.quick:
             rows.append(large_image(device, scene, integrand))
             report_line(rows[-1], LARGE)
     print(f"residual over the default's after the same seconds, {budgets[-1]} samples a point, "
-          f"{' / '.join(map(str, passes))} passes of the default")  # fmt: skip
+          f"{' / '.join(map(str, epochs))} epochs of the default")  # fmt: skip
     print("\n".join(schedule_table(schedules)))
     if options.json:
         every = [{"case": name, **row} for name, found in schedules.items() for row in found]
@@ -73,33 +73,33 @@ def main() -> None:
 def large_image(device: Device, scene: str, integrand: str) -> dict:
     """Two training samples a point on average, as 16 of every eighth point."""
     case = TrainingCase(device, scene, integrand, LARGE)
-    passes = 2
-    outcome = case.run(with_passes("default", passes), 16, LARGE_SPP / 16)
+    epochs = 2
+    outcome = case.run(with_epochs("default", epochs), 16, LARGE_SPP / 16)
     about = {"scene": scene, "integrand": integrand, "preset": "default", "samples": LARGE_SPP}
-    return {**about, "passes": passes, "size": LARGE, **asdict(outcome)}
+    return {**about, "epochs": epochs, "size": LARGE, **asdict(outcome)}
 
 
 def report_line(row: dict, size: int) -> None:
     print(
         f"{row['scene']:12} {row['integrand']:7} {row['preset']:8} {size:4}^2 "
-        f"{row['samples']:4} samples x {row['passes']} passes: "
+        f"{row['samples']:4} samples x {row['epochs']} epochs: "
         f"residual {row['residual']:.4f} after {row['seconds']:.3f} s "
         f"({row['nanoseconds_a_sample']:.0f} ns a sample)",
         flush=True,
     )
 
 
-def with_passes(name: str, passes: int) -> Preset:
+def with_epochs(name: str, epochs: int) -> Preset:
     preset = PRESETS[name]
-    return replace(preset, settings=replace(preset.settings, passes=passes))
+    return replace(preset, schedule=replace(preset.schedule, epochs=epochs))
 
 
 def runs(budgets: tuple[int, ...], quick: bool) -> list[tuple[str, int, int]]:
-    """(preset, samples a point, passes): the slides' preset uses each sample once."""
+    """(preset, samples a point, epochs): the slides' preset uses each sample once."""
     slides = [("slides", samples, 1) for samples in budgets]
-    passes = (1, 4) if quick else (1, 2, 4, 8, 16)
-    wide = [("wide", budgets[-1], n) for n in passes[1:]]
-    return slides + [("default", samples, n) for samples in budgets for n in passes] + wide
+    epochs = (1, 4) if quick else (1, 2, 4, 8, 16)
+    wide = [("wide", budgets[-1], n) for n in epochs[1:]]
+    return slides + [("default", samples, n) for samples in budgets for n in epochs] + wide
 
 
 def plot(rows: list[dict], device: str, path: str) -> None:

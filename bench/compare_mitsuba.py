@@ -31,10 +31,10 @@ from mitsuba_scene import MitsubaScene, import_mitsuba
 
 import ncv_cl as ncv
 from ncv_cl import integrands
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device
-from ncv_cl.image import error_metrics
-from ncv_cl.scene import Scene
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
+from ncv_cl.output.image import error_metrics
+from ncv_cl.scene.load import Scene
 
 SCENES = Path(__file__).parent.parent / "scenes"
 CASES = (

@@ -19,11 +19,11 @@ from types import ModuleType
 
 import numpy as np
 
-from ncv_cl.device import Device
 from ncv_cl.integrands import DirectLight
-from ncv_cl.program import Kernel, kernel_folder
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import MEAN_SAMPLES
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.program import Kernel, kernel_folder
+from ncv_cl.points.sampler import Stream
+from ncv_cl.sampling.samples import MEAN_SAMPLES
 
 ROOT = Path(__file__).parent.parent
 TESTS, SCENES = ROOT / "tests", ROOT / "scenes"
@@ -63,9 +63,9 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),
     ("control coefficient", "test_alpha", "test_a_coefficient_of_zero_leaves_plain_monte_carlo", {}),
     ("samples", "test_samples", "test_each_sample_finds_its_own_rays_answer", {}),
-    ("estimate", "test_estimate", "test_means_and_variances_match_float64",
+    ("estimate", "test_accumulate", "test_means_and_variances_match_float64",
      {"channels": 3, "lengths": (1, 1, 200, 3), "mean": 1e3, "spread": 1e-1}),
-    ("estimate", "test_estimate", "test_residuals_are_taken_against_the_network",
+    ("estimate", "test_accumulate", "test_residuals_are_taken_against_the_network",
      {"modulated": ALL_GROUPS}),
     ("features", "test_network", "test_features_match_reference",
      {"inputs": ("position", "normal", "outgoing", "albedo", "roughness"), "grid": {}}),
@@ -91,7 +91,7 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"widths": (2, 6, 9, 3), "precision": "float32"}),
     ("subdivision", "test_subdivide", "test_affine_functions_are_the_network",
      {"widths": (2, 6, 2)}),
-    ("other integrands", "test_custom", "test_channels_and_signs", {}),
+    ("other integrands", "test_callable", "test_channels_and_signs", {}),
 )  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def validate(device: Device, quick: bool) -> tuple[list[Outcome], list[str]]:
 def kernel_names() -> list[str]:
     """Every kernel that the `.cl` files define."""
     found = []
-    for path in sorted(kernel_folder().glob("*.cl")):
+    for path in sorted(kernel_folder().glob("*/*.cl")):
         text = re.sub(r"/\*.*?\*/", " ", path.read_text(encoding="utf-8"), flags=re.DOTALL)
         found += re.findall(r"\bkernel\b[^{;]*?\bvoid\s+(\w+)\s*\(", text.replace("__kernel", "kernel"))
     return found

@@ -16,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from rational import Network, random_network, trained_network
 
-from ncv_cl.device import Device, HostArray
-from ncv_cl.encode import Encoding
-from ncv_cl.integrator import Integrator, Statistics
-from ncv_cl.network import FoldedNetwork, NetworkDescription
-from ncv_cl.network import Network as TrainedNetwork
-from ncv_cl.program import build
-from ncv_cl.render import render
+from ncv_cl.integration.integrator import Integrator, Statistics
+from ncv_cl.network.encode import Encoding
+from ncv_cl.network.network import FoldedNetwork, NetworkDescription
+from ncv_cl.network.network import Network as TrainedNetwork
+from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.opencl.program import build
+from ncv_cl.rendering.render import render
 
 # Weights and biases that carry a points axis: all but the middle weights, and only the first bias.
 MODULATED = (True, False, True), (True, True, True)

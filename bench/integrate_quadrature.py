@@ -6,9 +6,9 @@ import numpy as np
 from integrate_networks import MODULATED, Case, Inference, disc_networks, median_seconds, networks
 from scipy.stats import qmc
 
-from ncv_cl.device import Device
-from ncv_cl.integrate import integrate
-from ncv_cl.integrator import METHODS
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.integration.integrator import METHODS
+from ncv_cl.opencl.device import Device
 
 Row = tuple[str, int, float, float]
 

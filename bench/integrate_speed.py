@@ -19,8 +19,8 @@ from integrate_networks import (
     some_points,
 )
 
-from ncv_cl.device import Device
-from ncv_cl.integrator import METHODS, Integrator
+from ncv_cl.integration.integrator import METHODS, Integrator
+from ncv_cl.opencl.device import Device
 
 # Points and samples of one timing of inference.
 INFERENCE_POINTS = INFERENCE_SAMPLES = 256

@@ -25,7 +25,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ncv_cl.scene import Material, QuadLight, Scene
+from ncv_cl.scene.load import Material, QuadLight, Scene
 
 # An older LLVM lacks instructions that Mitsuba's compiler emits, and aborts the process.
 OLDEST_LLVM = 16

@@ -11,8 +11,8 @@ import numpy as np
 from mitsuba_scene import MitsubaScene
 
 import ncv_cl as ncv
-from ncv_cl.device import Device
-from ncv_cl.scene import Scene
+from ncv_cl.opencl.device import Device
+from ncv_cl.scene.load import Scene
 
 # Shadow rays a point whose error is to be reached.
 TARGET_SAMPLES = 256

@@ -79,27 +79,27 @@ def integral_error(variate: ControlVariate, rms: float, cells: int = QUADRATURE_
 def validate(method: Method, family: Family, sizes: Sizes) -> dict:
     """Whether the method's estimates are unbiased, and G is the integral of g; also a warm-up."""
     training = Samples.draw(family.function, family.features, sizes.training, seed=1000)
-    estimator = method.fit(training, 1000, sizes.seconds)
+    accumulator = method.fit(training, 1000, sizes.seconds)
     found: dict[str, object] = {"method": method.name, "integrand": family.name, "valid": True}
     for sampler in method.samplers:
-        estimates = estimator.estimate(family.function, sizes.samples, sizes.repeats, 1001, sampler)
+        estimates = accumulator.estimate(family.function, sizes.samples, sizes.repeats, 1001, sampler)
         score, limit = bias_score(estimates - family.integrals)
         found[f"t, {sampler}"] = score
         found["valid"] &= abs(score) < limit
-    if isinstance(estimator, ControlVariate):
+    if isinstance(accumulator, ControlVariate):
         rms = float(np.sqrt(np.mean(training.values.astype(np.float64) ** 2)))
-        found["integral_error"] = integral_error(estimator, rms)
+        found["integral_error"] = integral_error(accumulator, rms)
         found["valid"] &= found["integral_error"] < QUADRATURE_TOLERANCE
     return found
 
 
 def timed_estimate(
-    estimator: Estimator, family: Family, samples: int, repeats: int, seed: int, sampler: str
+    accumulator: Estimator, family: Family, samples: int, repeats: int, seed: int, sampler: str
 ) -> tuple[np.ndarray, float]:
     """Errors (repeats, points), and seconds without training."""
     begun = time.perf_counter()
-    estimates = estimator.estimate(family.function, samples, repeats, seed, sampler)
-    seconds = time.perf_counter() - begun - sum(estimator.trainings)
+    estimates = accumulator.estimate(family.function, samples, repeats, seed, sampler)
+    seconds = time.perf_counter() - begun - sum(accumulator.trainings)
     return estimates - family.integrals, seconds
 
 
@@ -117,14 +117,14 @@ def equal_samples(
         training = Samples.draw(family.function, family.features, sizes.training, seed=fit)
         for method in methods:
             begun = time.perf_counter()
-            estimator = fitted[method] = method.fit(training, fit, sizes.seconds)
+            accumulator = fitted[method] = method.fit(training, fit, sizes.seconds)
             fit_seconds = time.perf_counter() - begun
             for sampler in method.samplers:
                 errors, seconds = timed_estimate(
-                    estimator, family, sizes.samples, sizes.repeats, 1000 + fit, sampler
+                    accumulator, family, sizes.samples, sizes.repeats, 1000 + fit, sampler
                 )
                 record = records.setdefault((method, sampler), Record())
-                record.fit_seconds.append(fit_seconds + [0.0, *estimator.trainings][-1])
+                record.fit_seconds.append(fit_seconds + [0.0, *accumulator.trainings][-1])
                 record.nanoseconds.append(seconds / (errors.size * sizes.samples) * 1e9)
                 record.mean_square.append(float(np.mean(errors**2)))
                 record.errors.append(errors)
@@ -183,7 +183,7 @@ def equal_time(
     plain_ns = by_key["Monte Carlo", "independent"]["ns_a_sample"]
     variance = float(family.spread().mean())
     floor = (1e-7 * float(np.abs(family.integrals).mean())) ** 2
-    sized = {method: SizedErrors(estimator, family, sizes) for method, estimator in fitted.items()}
+    sized = {method: SizedErrors(accumulator, family, sizes) for method, accumulator in fitted.items()}
     for method, errors in sized.items():
         # Over all fits, which is better known than of the last one alone.
         row = by_key[method.name, "independent"]
@@ -223,10 +223,10 @@ def equal_time(
 
 
 class SizedErrors:
-    """Mean square errors of one estimator by (samples, sampler), measured when first asked for."""
+    """Mean square errors of one accumulator by (samples, sampler), measured when first asked for."""
 
-    def __init__(self, estimator: Estimator, family: Family, sizes: Sizes) -> None:
-        self._estimator, self._family, self._sizes = estimator, family, sizes
+    def __init__(self, accumulator: Estimator, family: Family, sizes: Sizes) -> None:
+        self._estimator, self._family, self._sizes = accumulator, family, sizes
         self.measured: dict[tuple[int, str], float] = {}
 
     def at(self, count: int, sampler: str) -> float:

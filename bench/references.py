@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ncv_cl.device import Device
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.program import source
-from ncv_cl.render import render
-from ncv_cl.report import package_version
-from ncv_cl.scene import Scene
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.program import source
+from ncv_cl.output.report import package_version
+from ncv_cl.rendering.render import render
+from ncv_cl.scene.load import Scene
 
 # Neither allocates: a point that was thought to be without error would keep what error it has.
 HALVES = (
@@ -64,7 +64,7 @@ class Reference:
     cached: bool
 
     def errors(self, pixels: np.ndarray) -> tuple[float, float]:
-        """MSE and relMSE (see `ncv_cl.image.error_metrics`), the reference's own part subtracted."""
+        """MSE and relMSE (`ncv_cl.output.image.error_metrics`), the reference's own part subtracted."""
         weight = 1 / (self.pixels**2 + 1e-2 * self.pixels.mean() ** 2)
         squared = (pixels.astype(np.float64) - self.pixels) ** 2 - self.variance
         return float(squared.mean()), float((squared * weight).mean())

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from report.parts import PARTS, Run, run_part
 
-from ncv_cl.choose import choose_device
-from ncv_cl.report import package_version
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.output.report import package_version
 
 # Not a part but what is made of them.
 REPORT = "report"

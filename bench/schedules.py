@@ -1,6 +1,6 @@
 """Training schedules at equal seconds: residual variance of each against that of the default.
 
-A schedule is the default preset's with one thing changed. Each is run with several numbers of passes
+A schedule is the default preset's with one thing changed. Each is run with several numbers of epochs
 over the same samples, which makes a curve of residual against seconds; curves are compared at the
 seconds that the default takes, on straight lines between logarithms. Of runs with several seeds
 residuals are the means, seconds the least.
@@ -14,9 +14,9 @@ from statistics import fmean
 import numpy as np
 from training import TrainingCase
 
-from ncv_cl.presets import PRESETS
+from ncv_cl.settings.presets import PRESETS
 
-# What is changed of `TrainSettings`.
+# What is changed of `Schedule`.
 SCHEDULES: dict[str, dict[str, float]] = {
     "default": {},
     "32 columns": {"batch": 32},
@@ -27,27 +27,27 @@ SCHEDULES: dict[str, dict[str, float]] = {
     "average over 20": {"average_decay": 0.95},
     "average over 500": {"average_decay": 0.998},
 }
-PASSES = (2, 4, 8)
+EPOCHS = (2, 4, 8)
 SEEDS = (0, 1)
 
 
 def measure_schedules(
     case: TrainingCase,
     samples: int,
-    passes: tuple[int, ...] = PASSES,
+    epochs: tuple[int, ...] = EPOCHS,
     seeds: tuple[int, ...] = SEEDS,
 ) -> list[dict]:
-    """One row a schedule and number of passes, in turn so that a loaded machine treats all alike."""
+    """One row a schedule and number of epochs, in turn so that a loaded machine treats all alike."""
     rows = []
-    for number in passes:
+    for number in epochs:
         for name, changes in SCHEDULES.items():
-            settings = replace(PRESETS["default"].settings, passes=number, **changes)
-            preset = replace(PRESETS["default"], settings=settings)
+            schedule = replace(PRESETS["default"].schedule, epochs=number, **changes)
+            preset = replace(PRESETS["default"], schedule=schedule)
             outcomes = [case.run(preset, samples, seed=seed) for seed in seeds]
             row = {
                 "schedule": name,
                 "samples": samples,
-                "passes": number,
+                "epochs": number,
                 "residual": fmean(outcome.residual for outcome in outcomes),
                 "seconds": min(outcome.seconds for outcome in outcomes),
             }
@@ -72,7 +72,7 @@ def at_equal_seconds(rows: list[dict]) -> dict[str, list[float]]:
 
 
 def schedule_table(found: dict[str, list[dict]]) -> list[str]:
-    """Lines of a table: a schedule's ratios in each case, fewest passes first, and their mean."""
+    """Lines of a table: a schedule's ratios in each case, fewest epochs first, and their mean."""
     ratios = {case: at_equal_seconds(rows) for case, rows in found.items()}
     lines = [f"{'schedule':18} " + " ".join(f"{case:>21}" for case in found) + f" {'mean':>6}"]
     for name in next(iter(ratios.values())):

@@ -21,8 +21,8 @@ from torture_families import FAMILIES, torture_networks
 from torture_verdict import Program, Shape, Verdict, Verdicts, brief, report, total
 from torture_worker import Outcome, Worker
 
-from ncv_cl.device import GPU_LANES, Device
-from ncv_cl.integrator import METHODS, PRECISIONS
+from ncv_cl.integration.integrator import METHODS, PRECISIONS
+from ncv_cl.opencl.device import GPU_LANES, Device
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 # Networks a family, shape of network and seed.

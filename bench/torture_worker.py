@@ -15,9 +15,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 from rational import Network
 
-from ncv_cl.choose import choose_device
-from ncv_cl.device import Device, open_device
-from ncv_cl.integrate import integrate
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device, open_device
 
 # Seconds for one batch, the compiler's included, on a machine that is busy with other things; and the
 # share of it for a part of a batch, for which all is compiled.

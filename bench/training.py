@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ncv_cl.device import Device, HostArray
-from ncv_cl.encode import GridCube, varying_inputs
-from ncv_cl.estimate import Estimator
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.network import FoldedNetwork, Network
-from ncv_cl.points import find_points
-from ncv_cl.presets import Preset
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
-from ncv_cl.scene import load_scene
-from ncv_cl.trace import Tracer
-from ncv_cl.train import Trainer
+from ncv_cl.learning.train import Trainer
+from ncv_cl.network.encode import GridCube, varying_inputs
+from ncv_cl.network.network import FoldedNetwork, Network
+from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.points.points import find_points
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.accumulate import Accumulator
+from ncv_cl.sampling.samples import SampleSource
+from ncv_cl.scene.load import load_scene
+from ncv_cl.settings.presets import Preset
 
 SCENES = Path(__file__).parent.parent / "scenes"
 CASES = (("cornell_box", "direct"), ("occluders", "direct"), ("occluders", "ao"), ("knot", "ao"))
@@ -69,7 +69,7 @@ class TrainingCase:
         start = Network.random(description, GridCube.around(self.scene.world_bounds), seed)
         count = max(1, round(points.active * fraction))
         chosen = np.linspace(0, points.active, count, endpoint=False).astype(np.uint32)
-        trainer = Trainer(self.device, start, points, preset.settings, chosen, samples, seed, factor)
+        trainer = Trainer(self.device, start, points, preset.schedule, chosen, samples, seed, factor)
         order = HostArray.of(self.device, chosen)
         for first in range(0, samples, SAMPLES_A_PASS):
             part = range(first, min(first + SAMPLES_A_PASS, samples))
@@ -80,12 +80,12 @@ class TrainingCase:
         trainer.fit()
         seconds = time.perf_counter() - began
         folded = FoldedNetwork(self.device, trainer.network(), points, factor)
-        uses = count * samples * preset.settings.passes
+        uses = count * samples * preset.schedule.epochs
         return Outcome(self._residual(folded), seconds, seconds / uses * 1e9)
 
     def _residual(self, folded: FoldedNetwork) -> float:
-        estimator = Estimator(self.device, self.points, self.integrand.channels, folded)
+        accumulator = Accumulator(self.device, self.points, self.integrand.channels, folded)
         for batch_points in self.source.batches():
-            estimator.add(self.source.draw(batch_points, range(TEST_SAMPLES), Stream.RESIDUAL))
-        estimator.finish_pass(TEST_SAMPLES)
-        return float(estimator.result(1).variance.mean() / estimator.result(0).variance.mean())
+            accumulator.add(self.source.draw(batch_points, range(TEST_SAMPLES), Stream.RESIDUAL))
+        accumulator.finish_pass(TEST_SAMPLES)
+        return float(accumulator.result(1).variance.mean() / accumulator.result(0).variance.mean())

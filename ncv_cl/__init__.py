@@ -6,17 +6,17 @@ exact, and Monte Carlo estimates what it leaves.
 
 from __future__ import annotations
 
-from .choose import choose_device, devices
-from .custom import Integrals, estimate
-from .device import Device, DeviceError
-from .image import Image
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
-from .integrate import integrate
-from .network import Network, NetworkError
-from .render import render
-from .scene import Material, Scene, SceneError, load_scene
-from .split import render_split
-from .subdivide import Subdivision, draw_subdivision, subdivide
+from .integration.integrate import integrate
+from .integration.subdivide import Subdivision, draw_subdivision, subdivide
+from .network.network import Network, NetworkError
+from .opencl.choose import choose_device, devices
+from .opencl.device import Device, DeviceError
+from .output.image import Image
+from .rendering.estimate import Integrals, estimate
+from .rendering.render import render
+from .rendering.split import render_split
+from .scene.load import Material, Scene, SceneError, load_scene
 
 __all__ = [
     "AmbientOcclusion",

@@ -13,24 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
-from .certificate import PRECISIONS
-from .choose import devices
-from .console import EXPECTED, complain, one_line, run, say, summary
-from .files import check_paths, read_arrays, write_whole
-from .image import Image, check_output_path, read_reference
+from .host.console import EXPECTED, complain, one_line, run, say, summary
+from .host.files import check_paths, read_arrays, write_whole
+from .host.interrupt import StopOnSignal
 from .integrands import INTEGRANDS, AmbientOcclusion, GlobalIllumination, Integrand
 from .integrands.ao import MAPPINGS
-from .integrate import integrate
-from .integrator import METHODS as INTEGRATION_METHODS
-from .interrupt import StopOnSignal
-from .presets import PRESETS
-from .render import render
-from .report import package_version
-from .sampler import SAMPLERS
-from .scene import load_scene
-from .settings import ALLOCATIONS, DENSITIES, METHODS, VISIBILITIES
-from .split import render_split
-from .subdivide import draw_subdivision, subdivide
+from .integration.certificate import PRECISIONS
+from .integration.integrate import integrate
+from .integration.integrator import METHODS as INTEGRATION_METHODS
+from .integration.subdivide import draw_subdivision, subdivide
+from .opencl.choose import devices
+from .output.image import Image, check_output_path, read_reference
+from .output.report import package_version
+from .points.sampler import SAMPLERS
+from .rendering.render import render
+from .rendering.split import render_split
+from .scene.load import load_scene
+from .settings.presets import PRESETS
+from .settings.settings import ALLOCATIONS, DENSITIES, METHODS, VISIBILITIES
 
 # Beside the package in a checkout and in an editable install.
 _BENCH = Path(__file__).parent.parent / "bench"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from ncv_cl.choose import all_devices, choose_device
-from ncv_cl.device import GPU_LANES, Device, open_device
+from ncv_cl.opencl.choose import all_devices, choose_device
+from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 
 # Property tests draw the same examples everywhere; `pytest --hypothesis-profile explore` looks further.
 settings.register_profile("repeatable", max_examples=50, derandomize=True, database=None)

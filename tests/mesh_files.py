@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ncv_cl.scene import Material, Scene, load_scene
+from ncv_cl.scene.load import Material, Scene, load_scene
 
 SCENE = """
 [camera]

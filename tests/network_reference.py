@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ncv_cl.network import Network
-from ncv_cl.points import ShadingPoints
+from ncv_cl.network.network import Network
+from ncv_cl.points.points import ShadingPoints
 
 
 def one_blob(x: np.ndarray, bins: int, wraps: bool) -> np.ndarray:

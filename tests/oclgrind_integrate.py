@@ -10,7 +10,7 @@ import numpy as np
 from oclgrind_run import avoid_false_reports
 
 from ncv_cl import integrate
-from ncv_cl.device import list_cl_devices, open_device
+from ncv_cl.opencl.device import list_cl_devices, open_device
 
 
 def main(method: str, hidden: str, vec: str, lanes: str) -> None:

@@ -6,9 +6,10 @@ Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY]
 import sys
 from dataclasses import replace
 
-from ncv_cl import learn, render
-from ncv_cl.device import HostArray, list_cl_devices, open_device
-from ncv_cl.presets import PRESETS
+from ncv_cl import render
+from ncv_cl.learning import learn
+from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
+from ncv_cl.settings.presets import PRESETS
 
 
 def avoid_false_reports() -> None:
@@ -36,8 +37,8 @@ def shrink_training() -> None:
     """The default network with fewer grid levels and one pass: every line of the kernels still runs."""
     learn.FEWEST_STEPS = learn.FEWEST_STEPS_OF_ONE_BATCH = 1
     preset = PRESETS["default"]
-    settings = replace(preset.settings, passes=1)
-    PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, settings=settings)
+    schedule = replace(preset.schedule, epochs=1)
+    PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, schedule=schedule)
 
 
 def main(

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from oclgrind_run import avoid_false_reports
 
-from ncv_cl import integrate, integrator
-from ncv_cl.device import list_cl_devices, open_device
+from ncv_cl import integrate
+from ncv_cl.integration import integrator
+from ncv_cl.opencl.device import list_cl_devices, open_device
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ncv_cl.caches import cache_folder
+from ncv_cl.host.caches import cache_folder
 
 ROOT = Path(__file__).parent.parent
 # Longer than any of these programs takes on a busy machine; what hangs takes for ever.

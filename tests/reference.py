@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
-from ncv_cl.device import Device
-from ncv_cl.estimate import Estimator
-from ncv_cl.image import Image
 from ncv_cl.integrands import Integrand
 from ncv_cl.integrands.lights import SMALL_LIGHT
-from ncv_cl.lines import MOST_ON_LINES
-from ncv_cl.paths import sample_source
-from ncv_cl.points import ShadingPoints, find_points
-from ncv_cl.program import Kernel, device_defines, option_list, source
-from ncv_cl.resolve import resolve_image
-from ncv_cl.samples import SEEN, Batch, SampleSource
-from ncv_cl.scene import Camera, Material, QuadLight, Scene
-from ncv_cl.shaft import MOST_OCCLUDERS, Occluders
-from ncv_cl.trace import Hits, Tracer
-from ncv_cl.warp import DENSITY_BINS, EDGE_UNITS
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.program import Kernel, device_defines, option_list, source
+from ncv_cl.output.image import Image
+from ncv_cl.output.resolve import resolve_image
+from ncv_cl.points.points import ShadingPoints, find_points
+from ncv_cl.points.trace import Hits, Tracer
+from ncv_cl.sampling.accumulate import Accumulator
+from ncv_cl.sampling.paths import sample_source
+from ncv_cl.sampling.samples import SEEN, Batch, SampleSource
+from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
+from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
+from ncv_cl.visibility.lines import MOST_ON_LINES
+from ncv_cl.visibility.shaft import MOST_OCCLUDERS, Occluders
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -356,13 +356,13 @@ def render_plain(
 ) -> tuple[Image, ShadingPoints]:
     """Plain Monte Carlo through the package's stages, without `render`."""
     points, source_, _ = sampling(device, scene, integrand, size, 64, sampler, seed)
-    estimator = Estimator(device, points, integrand.channels)
+    accumulator = Accumulator(device, points, integrand.channels)
     for first in range(0, spp, 64):
         samples = range(first, min(first + 64, spp))
         for part in source_.batches():
-            estimator.add(source_.draw(part, samples, 0))
-        estimator.finish_pass(len(samples))
-    return resolve_image(scene, integrand, points, size, 1, estimator.result()), points
+            accumulator.add(source_.draw(part, samples, 0))
+        accumulator.finish_pass(len(samples))
+    return resolve_image(scene, integrand, points, size, 1, accumulator.result()), points
 
 
 def bare_kernel(device: Device, files: tuple[str, ...], defines: dict, text: str, name: str) -> Kernel:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.allocate import FEWEST_SAMPLES, LARGEST_SHARE, Allocation, allocate
+from ncv_cl.estimation.allocate import FEWEST_SAMPLES, LARGEST_SHARE, Allocation, allocate
 
 
 def magnitudes(points=5000, decades=4):

@@ -8,7 +8,9 @@ import pytest
 from test_network import knot_points
 from test_train import prepare
 
-from ncv_cl.alpha import (
+from ncv_cl.estimation.control_variate import integrals_of
+from ncv_cl.integrands import DirectLight
+from ncv_cl.learning.alpha import (
     LARGEST,
     PSEUDO_SAMPLES,
     SMALLEST,
@@ -17,16 +19,14 @@ from ncv_cl.alpha import (
     control_coefficients,
     scale,
 )
-from ncv_cl.estimate import Estimator
-from ncv_cl.integrands import DirectLight
-from ncv_cl.network import FoldedNetwork
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
-from ncv_cl.trace import Tracer
-from ncv_cl.train import TrainSettings
-from ncv_cl.variate import integrals_of
+from ncv_cl.network.network import FoldedNetwork
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.accumulate import Accumulator
+from ncv_cl.sampling.samples import SampleSource
+from ncv_cl.settings.schedule import Schedule
 
-SETTINGS = TrainSettings(batch=16, passes=64)
+SETTINGS = Schedule(batch=16, epochs=64)
 COLUMNS = 10_000  # Wider than the image: all points lie in one row of tiles.
 
 
@@ -38,7 +38,7 @@ def trained(device, scenes, samples=16):
 
 
 def test_coefficients_are_covariance_over_variance_shrunk_towards_one(device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, chosen, uv, f = trained(device, scenes)
     folded = FoldedNetwork(device, network, points)
     found = control_coefficients(folded, trainer.samples_of(network), points, COLUMNS)
@@ -66,7 +66,7 @@ def test_moments_of_each_column_match_float64(device, scenes):
 
 
 def test_a_network_that_is_twice_too_large_is_halved(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, chosen, *_ = trained(one_device, scenes)
     samples = trainer.samples_of(network)
     folded = FoldedNetwork(one_device, network, points)
@@ -78,7 +78,7 @@ def test_a_network_that_is_twice_too_large_is_halved(one_device, scenes, monkeyp
 
 
 def test_a_network_that_says_the_opposite_counts_as_nothing(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, *_ = trained(one_device, scenes)
     folded = FoldedNetwork(one_device, network, points)
     scale(folded, np.full((3, points.active), -1.0, np.float32))
@@ -87,7 +87,7 @@ def test_a_network_that_says_the_opposite_counts_as_nothing(one_device, scenes, 
 
 
 def test_points_without_training_samples_keep_the_network(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.alpha.SAMPLES_A_TILE", 0)
+    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 0)
     trainer, network, points, chosen, *_ = trained(one_device, scenes)
     folded = FoldedNetwork(one_device, network, points)
     found = control_coefficients(folded, trainer.samples_of(network), points, COLUMNS)
@@ -117,11 +117,11 @@ def test_a_coefficient_of_zero_leaves_plain_monte_carlo(device, scenes):
     source = SampleSource(device, scene, Tracer(scene), points, DirectLight(), "sobol", 3, 16)
     results = []
     for folded in (whole, halved):
-        estimator = Estimator(device, points, 3, folded)
+        accumulator = Accumulator(device, points, 3, folded)
         for part in source.batches():
-            estimator.add(source.draw(part, range(16), Stream.RESIDUAL))
-        estimator.finish_pass(16)
-        results.append((estimator.result(0).mean, estimator.result(1).mean))
+            accumulator.add(source.draw(part, range(16), Stream.RESIDUAL))
+        accumulator.finish_pass(16)
+        results.append((accumulator.result(0).mean, accumulator.result(1).mean))
     (plain, residual), (_, found) = results
     np.testing.assert_array_equal(found[:, ::2], plain[:, ::2])
     np.testing.assert_array_equal(found[:, 1::2], residual[:, 1::2])

@@ -20,7 +20,7 @@ from reference import (
 
 from ncv_cl.integrands import AmbientOcclusion, IntegrandError
 from ncv_cl.integrands.ao import MAPPINGS
-from ncv_cl.samples import NO_RAY
+from ncv_cl.sampling.samples import NO_RAY
 
 NORMALS = np.array(
     [

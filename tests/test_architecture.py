@@ -11,79 +11,31 @@ import pytest
 
 import ncv_cl
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.program import kernel_folder
+from ncv_cl.opencl.program import kernel_folder
 
 PACKAGE = Path(ncv_cl.__file__).parent
 MODULES = {".".join(p.relative_to(PACKAGE).with_suffix("").parts): p for p in PACKAGE.rglob("*.py")}
-KERNELS = sorted(kernel_folder().glob("*.cl"))
-# Data flows downwards: a module imports only from lines above its own.
-ORDER = (
-    "caches clock console files interrupt version",
-    "runtimes",
-    "arrangement certificate clip device image scene_data scene_geometry scene_table",
-    "meshes",
-    "program scene_place",
+KERNELS = sorted(kernel_folder().glob("*/*.cl"))
+# The one rule: data goes from folder to folder in this order, and a folder imports from those before it.
+FOLDERS = [
+    "host",
+    "opencl",
     "scene",
-    "sampler trace",
     "points",
     "integrands",
-    "lines shadow shaft",
-    "encode integration_stage warp",
-    "samples",
-    "guide",
-    "paths",
+    "visibility",
     "network",
-    "padded probe",
-    "choose",
-    "train integrator estimate",
-    "allocate alpha auto calibrate density integrate presets resolve",
-    "budget held_out settings subdivide triangulate",
-    "checkpoint learn passes prepare report",
-    "estimation pilot variate",
-    "custom first_pass keep stopping",
-    "render",
-    "split",
-    "cli __init__",
-)
-RANK = {name: rank for rank, names in enumerate(ORDER) for name in names.split()}
-# A stage knows its inputs and outputs, not its neighbours: who may import it.
-USERS = {
-    "train": {"alpha", "density", "learn", "presets"},
-    "density": {"checkpoint", "estimation", "learn", "render", "triangulate", "variate"},
-    "learn": {"custom", "first_pass", "render", "variate"},
-    "alpha": {"learn", "variate"},
-    "auto": {"checkpoint", "first_pass", "render"},
-    "budget": {"learn"},
-    "held_out": {"learn"},
-    "passes": {"custom", "estimation", "pilot", "render"},
-    "estimation": {"custom", "first_pass", "keep", "render", "stopping"},
-    "integrator": {"cli", "integrate", "subdivide", "variate"},
-    "integrate": {"cli", "subdivide", "__init__"},
-    "estimate": {
-        "auto",
-        "calibrate",
-        "checkpoint",
-        "custom",
-        "estimation",
-        "first_pass",
-        "held_out",
-        "keep",
-        "learn",
-        "passes",
-        "pilot",
-        "render",
-        "report",
-        "resolve",
-    },
-    "resolve": {"custom", "render"},
-    "render": {"cli", "split", "__init__"},
-    "split": {"cli", "__init__"},
-    "cli": set(),
-}
+    "settings",
+    "sampling",
+    "integration",
+    "learning",
+    "estimation",
+    "output",
+    "rendering",
+]
+MOST_FILES, MOST_LINES = 12, 400
 # A floating-point literal without an f.
 DOUBLE = re.compile(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?![\w.])")
-# Drivers whose kernel file bears another name than theirs.
-OTHER_KERNEL = {"integration_stage": "integrate_robust", "network": "mlp", "probe": "mlp"}
 
 
 def imports(module: str) -> set[str]:
@@ -107,6 +59,10 @@ def imports(module: str) -> set[str]:
     return found - {module}
 
 
+def folder(module: str) -> str:
+    return module.split(".")[0]
+
+
 def strings(path: Path) -> set[str]:
     """The string constants of a module."""
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
@@ -118,44 +74,51 @@ def code(kernel: Path) -> str:
     return re.sub(r"/\*.*?\*/|//[^\n]*", " ", kernel.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_folder_imports_from_those_before_it(name):
+    before = set(FOLDERS[: FOLDERS.index(name) + 1])
+    late = {
+        f"{module} imports {other}"
+        for module in MODULES
+        if folder(module) == name
+        for other in imports(module)
+        if folder(other) not in before
+    }
+    assert late == set()
+
+
 def test_no_import_goes_in_a_circle():
     order = list(TopologicalSorter({name: imports(name) for name in MODULES}).static_order())
     assert set(order) == set(MODULES)
 
 
-@pytest.mark.parametrize("module", sorted(MODULES))
-def test_imports_go_one_way(module):
-    own = module.split(".")[0]
-    assert own in RANK, f"{module} has no place in the order of the architecture"
-    others = {name.split(".")[0] for name in imports(module)} - {own}
-    assert {name for name in others if RANK[name] >= RANK[own]} == set()
+def test_folders_are_those_of_the_order_and_kernels_have_the_same():
+    assert {folder(module) for module in MODULES} == {*FOLDERS, "__init__", "cli"}
+    assert {kernel.parent.name for kernel in KERNELS} <= set(FOLDERS)
 
 
-@pytest.mark.parametrize("stage", sorted(USERS))
-def test_render_alone_orders_the_stages(stage):
-    assert {name for name in MODULES if stage in imports(name)} <= USERS[stage]
+def test_no_folder_is_crowded_and_no_file_is_long():
+    for name in FOLDERS:
+        assert len(list((PACKAGE / name).glob("*.py"))) <= MOST_FILES, name
+    for path in [*MODULES.values(), *KERNELS]:
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, path
 
 
-def test_the_order_names_only_modules_that_exist():
-    assert set(RANK) == {name.split(".")[0] for name in MODULES}
-
-
-def test_every_driver_has_a_kernel_file_of_its_name():
-    drivers = [name for name in MODULES if re.search(r"import.*\bbuild\b", MODULES[name].read_text())]
-    assert len(drivers) > 5
-    stems = {kernel.stem for kernel in KERNELS}
-    for name in drivers:
-        expected = OTHER_KERNEL.get(name, name)
-        assert expected in stems and expected in strings(MODULES[name]), name
+def test_every_kernel_file_is_used_and_not_before_its_folder():
+    assert len({kernel.stem for kernel in KERNELS}) == len(KERNELS)
+    for kernel in KERNELS:
+        # A name may be put together from a prefix and an option.
+        prefix = kernel.stem.split("_")[0] + "_"
+        users = {folder(m) for m in MODULES if {kernel.stem, prefix} & strings(MODULES[m])}
+        assert users, kernel
+        assert users <= {*FOLDERS[FOLDERS.index(kernel.parent.name) :], "cli"}, kernel
     for name, integrand in INTEGRANDS.items():
-        assert name in stems and integrand.files[-1] == name
+        assert integrand.files[-1] == name
 
 
-def test_every_kernel_file_is_used():
-    used = set().union(*(strings(path) for path in MODULES.values()))
-    # A name may be put together from a prefix and an option.
-    prefixes = tuple(text for text in used if re.fullmatch("[a-z]+_", text))
-    assert {k.stem for k in KERNELS if k.stem not in used and not k.stem.startswith(prefixes)} == set()
+def test_every_folder_says_what_it_is_for():
+    for name in FOLDERS:
+        assert ast.get_docstring(ast.parse(MODULES[f"{name}.__init__"].read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda path: path.name)

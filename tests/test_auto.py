@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from test_determinism import assert_same_bits
 
-from ncv_cl import auto, render
-from ncv_cl.auto import predict, too_short
-from ncv_cl.estimate import Estimate
-from ncv_cl.probe import Probe
+from ncv_cl import render
+from ncv_cl.estimation import auto
+from ncv_cl.estimation.auto import predict, too_short
+from ncv_cl.opencl.probe import Probe
+from ncv_cl.sampling.accumulate import Estimate
 
 POINTS = 4096
 OPTIONS = {"spp": 64, "train_spp": 16, "size": (8, 8)}

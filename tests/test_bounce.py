@@ -9,8 +9,8 @@ import pytest
 from reference import bare_kernel, tangent_frame, unit
 from scipy.stats import chi2
 
-from ncv_cl.device import HostArray
-from ncv_cl.points import ROW, ROW_COUNT, surface_defines
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import ROW, ROW_COUNT, surface_defines
 
 KERNEL = """
 kernel void bare_bounce(const uint count, global const float *surface, global const float *square,

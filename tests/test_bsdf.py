@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from reference import bare_kernel, scattering, tangent_frame, unit
 
-from ncv_cl.device import HostArray
-from ncv_cl.points import ROW, ROW_COUNT, surface_defines
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import ROW, ROW_COUNT, surface_defines
 
 KERNEL = """
 kernel void bare_scattering(const uint count, global const float *surface, global const float *incident,

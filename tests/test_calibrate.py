@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.calibrate import (
+from ncv_cl.estimation.calibrate import (
     LOCAL_RADIUS,
     OWN_SHARE,
     calibrate,
@@ -14,7 +14,7 @@ from ncv_cl.calibrate import (
     points_done_twice,
     steadied,
 )
-from ncv_cl.estimate import Estimate
+from ncv_cl.sampling.accumulate import Estimate
 
 
 @pytest.mark.parametrize("points", [1, 3, 100, 5000, 300_000])

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from rational import exact_integral, point_network, random_network, relative_errors
 
-from ncv_cl import certificate, integrator, program
-from ncv_cl.device import DeviceError
-from ncv_cl.integrate import IntegrationError, integrate
-from ncv_cl.integrator import METHODS
+from ncv_cl.integration import certificate, integrator
+from ncv_cl.integration.integrate import IntegrationError, integrate
+from ncv_cl.integration.integrator import METHODS
+from ncv_cl.opencl import program
+from ncv_cl.opencl.device import DeviceError
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 # Networks that once crashed, hung, or were certified with errors up to 7 %, with their exact integrals.

@@ -15,8 +15,9 @@ import pytest
 from test_determinism import assert_same_bits
 
 import ncv_cl
-from ncv_cl import render, report
-from ncv_cl.checkpoint import Checkpoint, CheckpointError
+from ncv_cl import render
+from ncv_cl.output import report
+from ncv_cl.output.checkpoint import Checkpoint, CheckpointError
 
 OPTIONS = {"spp": 96, "train_spp": 4, "size": (12, 10), "seed": 3}
 CASES = [
@@ -32,9 +33,9 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def short_passes(monkeypatch):
-    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 16)
+    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 16)
     # "auto" asks a first pass however small the image is.
-    monkeypatch.setattr("ncv_cl.auto.LONGEST_SAMPLE", np.inf)
+    monkeypatch.setattr("ncv_cl.estimation.auto.LONGEST_SAMPLE", np.inf)
 
 
 def picture(scenes, device, **options):
@@ -97,7 +98,7 @@ def test_other_kernels_and_other_shapes_of_kernels_are_refused(
     }.items():
         with pytest.raises(CheckpointError, match="fma" if name == "use_fma" else "device"):
             picture(scenes, replace(one_device, **{name: value}), method="mc", resume=file)
-    monkeypatch.setattr("ncv_cl.report.kernel_digest", lambda: "another")
+    monkeypatch.setattr("ncv_cl.output.report.kernel_digest", lambda: "another")
     with pytest.raises(CheckpointError, match="kernels is 'another'"):
         picture(scenes, one_device, method="mc", resume=file)
 

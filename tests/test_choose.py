@@ -13,10 +13,10 @@ from unittest.mock import Mock
 import pyopencl as cl
 import pytest
 
-from ncv_cl import choose, probe
-from ncv_cl.choose import all_devices, choose_device, devices
-from ncv_cl.device import Device, DeviceError, prefers_fma
-from ncv_cl.probe import Probe, cached_probe
+from ncv_cl.opencl import choose, probe
+from ncv_cl.opencl.choose import all_devices, choose_device, devices
+from ncv_cl.opencl.device import Device, DeviceError, prefers_fma
+from ncv_cl.opencl.probe import Probe, cached_probe
 
 ROOT = Path(__file__).parent.parent
 
@@ -224,7 +224,9 @@ def test_devices_prints_one_line_each_with_its_benchmark():
 def test_without_any_opencl_the_error_says_what_to_install(tmp_path):
     # A file, not an empty folder: with a folder the loader adds the runtime that pip installed.
     environment = {**os.environ, "OCL_ICD_VENDORS": f"{tmp_path}/none.icd"}
-    program = "import ncv_cl.choose as c\ntry: c.choose_device()\nexcept c.DeviceError as e: print(e)"
+    program = (
+        "import ncv_cl.opencl.choose as c\ntry: c.choose_device()\nexcept c.DeviceError as e: print(e)"
+    )
     run = subprocess.run(
         [sys.executable, "-c", program], env=environment, cwd=ROOT, capture_output=True, text=True
     )

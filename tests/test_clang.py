@@ -16,16 +16,16 @@ from ncv_cl import (
     AmbientOcclusion,
     DirectLight,
     GlobalIllumination,
-    certificate,
     estimate,
     integrate,
-    program,
     render,
 )
-from ncv_cl.device import GPU_LANES, Device, open_device
-from ncv_cl.presets import PRESETS
-from ncv_cl.sampler import SAMPLERS
-from ncv_cl.subdivide import subdivide
+from ncv_cl.integration import certificate
+from ncv_cl.integration.subdivide import subdivide
+from ncv_cl.opencl import program
+from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+from ncv_cl.points.sampler import SAMPLERS
+from ncv_cl.settings.presets import PRESETS
 
 CLANG = shutil.which("clang")
 FLAGS = ["-x", "cl", "-cl-std=CL1.2", "-Xclang", "-finclude-default-header", "-fsyntax-only"]
@@ -162,7 +162,7 @@ def diagnostics(files: tuple[str, ...], defines: dict[str, int | str]) -> str:
 
 def test_the_programs_cover_every_kernel_file_and_shape(programs):
     assert {name for files, _ in programs for name in files} == {
-        kernel.stem for kernel in program.kernel_folder().glob("*.cl")
+        kernel.stem for kernel in program.kernel_folder().glob("*/*.cl")
     }
     assert set(SHAPES) <= {(defines["VEC"], defines["LANES"]) for _, defines in programs}
 

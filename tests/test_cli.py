@@ -155,7 +155,7 @@ def test_a_reference_of_another_size_is_refused(cli):
 def test_what_can_be_refused_is_refused_before_anything_is_traced(cli, monkeypatch):
     """A file that cannot be written, or a reference of another size, costs no render."""
     assert cli("-o", "reference.exr", "--size", "4x4", "--method", "mc")[0] == 0
-    monkeypatch.setattr("ncv_cl.prepare.find_points", lambda *arguments: pytest.fail("worked"))
+    monkeypatch.setattr("ncv_cl.rendering.prepare.find_points", lambda *arguments: pytest.fail("worked"))
     for options in (
         ["--checkpoint", "no/such/folder"],
         ["--save-network", "reference.exr/n"],

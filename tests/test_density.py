@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ncv_cl.density import DensitySettings, DensityTrainer, tabulate
-from ncv_cl.device import HostArray
-from ncv_cl.encode import Encoding
-from ncv_cl.network import NetworkDescription
-from ncv_cl.train import TrainingSamples
-from ncv_cl.warp import DENSITY_BINS, pack_records
+from ncv_cl.learning.density import DensitySettings, DensityTrainer, tabulate
+from ncv_cl.learning.train import TrainingSamples
+from ncv_cl.network.encode import Encoding
+from ncv_cl.network.network import NetworkDescription
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.sampling.warp import DENSITY_BINS, pack_records
 
 BINS = DENSITY_BINS
 POINTS, SAMPLES = 96, 32
@@ -50,7 +50,7 @@ def learning_case(device, residual, features=7, points=POINTS, samples=SAMPLES):
         *(HostArray.of(device, array) for array in (u, v, target)),
         SimpleNamespace(features=HostArray.of(device, feature), stride=stride),
     )
-    settings = DensitySettings(columns=128, samples_a_step=8, most_passes=16)
+    settings = DensitySettings(columns=128, samples_a_step=8, most_epochs=16)
     trainer = DensityTrainer(device, network, stored, None, settings)
     return trainer, feature[:, :points], u[:, :points], v[:, :points], target[:, 0, :points]
 
@@ -102,7 +102,7 @@ def test_the_magnitude_is_learned_and_tabulated(device, monkeypatch):
     trainer, feature, *_ = learning_case(device, residual, points=points)
     learned = trainer.fit()
     stored = trainer._samples.encoder
-    monkeypatch.setattr("ncv_cl.density.Encoder", lambda *_: stored)
+    monkeypatch.setattr("ncv_cl.learning.density.Encoder", lambda *_: stored)
     stored.encode_grid = lambda table: None
     network = SimpleNamespace(
         description=trainer._network.network.description, table=np.zeros((1, 1), np.float32), cube=None

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl import render, samples, trace
+from ncv_cl import render
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.sampler import SAMPLERS
+from ncv_cl.points import trace
+from ncv_cl.points.sampler import SAMPLERS
+from ncv_cl.sampling import samples
 
 SIZE = (16, 12)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from ncv_cl.device import (
+from ncv_cl.opencl.device import (
     GPU_LANES,
     DeviceError,
     HostArray,

@@ -24,8 +24,8 @@ from reference import (
 
 from ncv_cl.integrands import DirectLight, IntegrandError
 from ncv_cl.integrands.lights import LIGHT_FLOATS, MOST_CHOSEN, power_of, strip_rows, strip_widths
-from ncv_cl.samples import NO_RAY
-from ncv_cl.scene import load_scene
+from ncv_cl.sampling.samples import NO_RAY
+from ncv_cl.scene.load import load_scene
 
 FLOOR = quad([-10, 0, -10], [0, 0, 20], [20, 0, 0])
 CAMERA = camera_at([0, 2.5, 4.5], [0, 0, 1])

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from ncv_cl import integrate, render
-from ncv_cl.checkpoint import Checkpoint, CheckpointError
 from ncv_cl.cli import main
-from ncv_cl.density import DensityNetwork
-from ncv_cl.files import check_paths, check_writable, read_arrays, write_whole
-from ncv_cl.network import Network, NetworkError
+from ncv_cl.host.files import check_paths, check_writable, read_arrays, write_whole
+from ncv_cl.learning.density import DensityNetwork
+from ncv_cl.network.network import Network, NetworkError
+from ncv_cl.output.checkpoint import Checkpoint, CheckpointError
 
 OPTIONS = {"method": "ncv", "spp": 16, "train_spp": 4, "size": (12, 10), "seed": 3}
 

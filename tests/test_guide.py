@@ -8,9 +8,9 @@ from reference import grey, sampling, shadowed_values, unpack_records
 from test_gi import GLOSSY, assert_same, room
 
 from ncv_cl import GlobalIllumination, load_scene, render
-from ncv_cl.guide import BINS, CELLS, Guide, GuideRecorder
-from ncv_cl.sampler import Stream
-from ncv_cl.warp import DENSITY_WORDS, pack_records
+from ncv_cl.points.sampler import Stream
+from ncv_cl.sampling.guide import BINS, CELLS, Guide, GuideRecorder
+from ncv_cl.sampling.warp import DENSITY_WORDS, pack_records
 
 
 def test_light_from_one_side_is_learned():

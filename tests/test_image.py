@@ -6,7 +6,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from ncv_cl.image import Image, check_output_path, error_metrics, read_reference
+from ncv_cl.output.image import Image, check_output_path, error_metrics, read_reference
 
 HEIGHT, WIDTH = 5, 7
 METADATA = {

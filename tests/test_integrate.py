@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from rational import exact_integral, point_network, random_network, relative_errors
 
-from ncv_cl import certificate
-from ncv_cl.arrangement import Capacities
-from ncv_cl.device import GPU_LANES, HostArray, open_device, widest_vectors
-from ncv_cl.integrate import integrate
-from ncv_cl.integrator import Integrator
-from ncv_cl.program import option_list, source
+from ncv_cl.integration import certificate
+from ncv_cl.integration.arrangement import Capacities
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.integration.integrator import Integrator
+from ncv_cl.opencl.device import GPU_LANES, HostArray, open_device, widest_vectors
+from ncv_cl.opencl.program import option_list, source
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 CLANG = shutil.which("clang")
@@ -273,8 +273,8 @@ OCLGRIND_SCRIPT = """
 import sys
 import numpy as np
 from rational import random_network
-from ncv_cl import certificate
-from ncv_cl.device import HostArray, list_cl_devices, open_device
+from ncv_cl.integration import certificate
+from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
 from test_integrate import run, worst_error
 
 def fill(self, value):

@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rational import hard_networks, point_network, random_network, relative_errors
 
-from ncv_cl.integrate import integrate
-from ncv_cl.integrator import METHODS
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.integration.integrator import METHODS
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 HARD = hard_networks()

@@ -16,8 +16,8 @@ import pyopencl as cl
 import pytest
 from processes import PATIENCE, environment
 
-from ncv_cl import program
-from ncv_cl.image import Image
+from ncv_cl.opencl import program
+from ncv_cl.output.image import Image
 
 
 def begin_long_render(scenes, device, folder: Path, *wrapper: str) -> subprocess.Popen:

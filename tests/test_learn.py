@@ -10,15 +10,17 @@ import pytest
 from test_determinism import assert_same_bits
 from test_network import knot_points, random_network
 
-from ncv_cl import budget, learn, render
-from ncv_cl.budget import MOST_SAMPLES, TRAINING_PASS, Round, pays, plan
-from ncv_cl.custom import CallableSource, HostIntegrand, _points_of
-from ncv_cl.held_out import HeldOut
+from ncv_cl import render
 from ncv_cl.integrands import DirectLight
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import NO_RAY, SEEN, SampleSource
-from ncv_cl.settings import RenderSettings, Stopwatch
-from ncv_cl.trace import Tracer
+from ncv_cl.learning import budget, learn
+from ncv_cl.learning.budget import MOST_SAMPLES, TRAINING_PASS, Round, pays, plan
+from ncv_cl.learning.held_out import HeldOut
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.rendering.estimate import _points_of
+from ncv_cl.sampling.callable import CallableSource, HostIntegrand
+from ncv_cl.sampling.samples import NO_RAY, SEEN, SampleSource
+from ncv_cl.settings.settings import RenderSettings, Stopwatch
 
 # (points, samples each): large, small, few samples, many, and too few points to hold any out.
 SIZES = [

@@ -22,11 +22,11 @@ from reference import (
 from scipy import stats
 
 from ncv_cl import GlobalIllumination, render
-from ncv_cl.device import HostArray
 from ncv_cl.integrands import DirectLight
 from ncv_cl.integrands.lights import SMALL_LIGHT, light_defines, light_records
-from ncv_cl.points import surface_defines
-from ncv_cl.scene import QuadLight
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import surface_defines
+from ncv_cl.scene.load import QuadLight
 
 KERNEL = """
 kernel void samples(const uint count, global const float *lights, global const float *numbers,

@@ -23,13 +23,12 @@ from reference import (
 )
 from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
 
-from ncv_cl.device import HostArray, open_device
 from ncv_cl.integrands import DirectLight
-from ncv_cl.lines import line_defines
-from ncv_cl.points import surface_defines
-from ncv_cl.render import render
-from ncv_cl.samples import NO_RAY, SEEN
-from ncv_cl.shaft import TOO_MANY
+from ncv_cl.opencl.device import HostArray, open_device
+from ncv_cl.points.points import surface_defines
+from ncv_cl.rendering.render import render
+from ncv_cl.sampling.samples import NO_RAY, SEEN
+from ncv_cl.visibility.lines import line_defines
 
 # Of samples (u, v): whether v is in a gap of its line, and how far from the next end of one.
 KERNEL = """

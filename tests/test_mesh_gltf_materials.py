@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mesh_files import SQUARE, Gltf, load, own_materials, png_bytes
 
-from ncv_cl.scene import Material
+from ncv_cl.scene.load import Material
 
 # sRGB (128, 32, 32), in linear light.
 BROWN = np.array([0.21586, 0.014444, 0.014444])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mesh_files import SQUARE, Gltf, corners, load, same_surface, vector_areas, write_and_load
 
-from ncv_cl.scene import SceneError
+from ncv_cl.scene.load import SceneError
 
 POINTS = [tuple(p) for p in SQUARE.tolist()]
 

@@ -9,7 +9,7 @@ import OpenImageIO as oiio
 import pytest
 from mesh_files import load, obj_text, own_materials, png_bytes
 
-from ncv_cl.scene import Material
+from ncv_cl.scene.load import Material
 
 TRIANGLE = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
 # sRGB (128, 32, 32), in linear light.

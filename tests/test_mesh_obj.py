@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mesh_files import L_SHAPE, SQUARE, load, own_materials, same_surface
 
-from ncv_cl.scene import SceneError
+from ncv_cl.scene.load import SceneError
 
 POINTS = [tuple(p) for p in SQUARE.tolist()]
 V = "".join("v {:g} {:g} {:g}\n".format(*p) for p in POINTS)

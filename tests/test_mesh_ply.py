@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mesh_files import L_SHAPE, SQUARE, load, own_materials, ply_bytes, same_surface
 
-from ncv_cl.scene import SceneError
+from ncv_cl.scene.load import SceneError
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
 TRIANGLE = [(5, 0, 0), (6, 0, 0), (5, 1, 0)]

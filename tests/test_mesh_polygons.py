@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ncv_cl.meshes.polygons import strip_triangles, triangulate
+from ncv_cl.scene.meshes.polygons import strip_triangles, triangulate
 
 
 def cut(*polygons: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

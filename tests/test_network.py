@@ -6,14 +6,14 @@ import network_reference as reference
 import numpy as np
 import pytest
 
-from ncv_cl.device import HostArray
-from ncv_cl.encode import Encoder, Encoding, GridCube, varying_inputs
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.integrator import Integrator
-from ncv_cl.network import GROUPS, FoldedNetwork, Network, NetworkDescription, NetworkError
-from ncv_cl.points import find_points
-from ncv_cl.scene import load_scene
-from ncv_cl.trace import Tracer
+from ncv_cl.integration.integrator import Integrator
+from ncv_cl.network.encode import Encoder, Encoding, GridCube, varying_inputs
+from ncv_cl.network.network import GROUPS, FoldedNetwork, Network, NetworkDescription, NetworkError
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import find_points
+from ncv_cl.points.trace import Tracer
+from ncv_cl.scene.load import load_scene
 
 ALL_INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 

@@ -13,10 +13,10 @@ import pytest
 from test_certificate import TORTURE_NAMES
 
 import ncv_cl
-from ncv_cl.device import GPU_LANES
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.integrator import METHODS as INTEGRATION_METHODS
-from ncv_cl.sampler import SAMPLERS
+from ncv_cl.integration.integrator import METHODS as INTEGRATION_METHODS
+from ncv_cl.opencl.device import GPU_LANES
+from ncv_cl.points.sampler import SAMPLERS
 
 OCLGRIND = shutil.which("oclgrind")
 PROGRAM = Path(__file__).with_name("oclgrind_run.py")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ncv_cl.passes import pass_edges
+from ncv_cl.estimation.passes import pass_edges
 
 
 @pytest.mark.parametrize(

@@ -196,6 +196,6 @@ def test_a_polynomial_is_found_again_and_then_has_no_error():
 def test_ours_lowers_the_variance(one_device, name):
     family = INTEGRANDS["disk"].family()
     training = Samples.draw(family.function, family.features, 2048, seed=0)
-    estimator = METHODS[name](one_device).fit(training, 0)
-    errors = estimator.estimate(family.function, 64, 256, 1, "independent") - family.integrals
+    accumulator = METHODS[name](one_device).fit(training, 0)
+    errors = accumulator.estimate(family.function, 64, 256, 1, "independent") - family.integrals
     assert np.mean(errors**2) < 0.4 * family.spread()[0] / 64

@@ -17,8 +17,8 @@ from reference import (
     unit,
 )
 
-from ncv_cl.points import RELATIVE_OFFSET, find_points, triangle_spreads
-from ncv_cl.trace import Tracer
+from ncv_cl.points.points import RELATIVE_OFFSET, find_points, triangle_spreads
+from ncv_cl.points.trace import Tracer
 
 MATERIALS = (grey((0.1, 0.2, 0.3), 0.04, 0.5), grey(0.9, (0.5, 0.6, 0.7), 0.1))
 
@@ -184,7 +184,7 @@ def test_a_view_of_nothing_has_no_points(device):
 def test_batches_of_camera_rays_do_not_change_the_points(one_device, monkeypatch):
     scene = mesh_scene(soup(3), camera_at([0, 0, 4], [0, 0, 0]))
     whole = points_of(one_device, scene)
-    monkeypatch.setattr("ncv_cl.points.CAMERA_RAYS_PER_BATCH", 100)
+    monkeypatch.setattr("ncv_cl.points.points.CAMERA_RAYS_PER_BATCH", 100)
     parts = points_of(one_device, scene)
     np.testing.assert_array_equal(whole.cell, parts.cell)
     np.testing.assert_array_equal(whole.surface.read(), parts.surface.read())

@@ -98,7 +98,7 @@ import os
 import numpy as np
 before = picture()
 device = ncv.choose_device()
-held = ncv.device.HostArray.of(device, np.zeros(3))
+held = ncv.opencl.device.HostArray.of(device, np.zeros(3))
 child = os.fork()
 if child == 0:
     calls = (picture, held.read, ncv.devices, lambda: device.context, lambda: ncv.choose_device(device))
@@ -119,7 +119,7 @@ def test_a_fork_of_somebody_who_used_pyopencl_gets_the_error_as_well(run):
     said = run("""
 import os
 import pyopencl
-from ncv_cl.runtimes import loaded_libraries
+from ncv_cl.opencl.runtimes import loaded_libraries
 
 def forked():
     child = os.fork()

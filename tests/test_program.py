@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl import program
-from ncv_cl.device import GROUP_SIZE, HostArray
-from ncv_cl.program import build, device_defines, kernel_folder, option_list, source
-from ncv_cl.sampler import sampler_defines
+from ncv_cl.opencl import program
+from ncv_cl.opencl.device import GROUP_SIZE, HostArray
+from ncv_cl.opencl.program import build, device_defines, kernel_folder, option_list, source
+from ncv_cl.points.sampler import sampler_defines
 
 SAMPLER = ("common", "sampler")
 SCALARS = """
@@ -88,7 +88,7 @@ def test_sources_are_joined_under_their_names():
 
 
 def test_every_kernel_file_opens_with_a_prose_block():
-    files = sorted(kernel_folder().glob("*.cl"))
+    files = sorted(kernel_folder().glob("*/*.cl"))
     assert files
     for file in files:
         text = file.read_text()

@@ -10,15 +10,15 @@ import pytest
 
 from ncv_cl import Image, render
 from ncv_cl.integrands import IntegrandError
-from ncv_cl.presets import PRESETS
-from ncv_cl.report import about_values
+from ncv_cl.output.report import about_values
+from ncv_cl.settings.presets import PRESETS
 
 OPTIONS = {"spp": 64, "train_spp": 16, "size": (8, 8)}
 
 
 def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, monkeypatch):
     preset = PRESETS["default"]
-    wild = replace(preset, settings=replace(preset.settings, rate=1e30, final_rate=1e30))
+    wild = replace(preset, schedule=replace(preset.schedule, rate=1e30, final_rate=1e30))
     monkeypatch.setitem(PRESETS, "default", wild)
     with pytest.warns(UserWarning, match="diverged"):
         image = render(scenes / "cornell_box.toml", "ao", "ncv", device=one_device, **OPTIONS)
@@ -30,7 +30,7 @@ def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, mo
 
 
 def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monkeypatch):
-    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 32)
+    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 32)
     image = render(
         scenes / "cornell_box.toml", "ao", "mc", device=one_device, stop=lambda: True, **OPTIONS
     )
@@ -40,7 +40,7 @@ def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monk
 
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_rendering_ends_at_the_error_asked_for(one_device, scenes, monkeypatch, method):
-    monkeypatch.setattr(sys.modules["ncv_cl.render"], "RESIDUAL_PASS", 16)
+    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 16)
     options = {**OPTIONS, "spp": 1024, "size": (24, 24)}
     full = render(scenes / "cornell_box.toml", "ao", method, device=one_device, **options)
     target = 16 * float(full.variance.mean())
@@ -122,6 +122,6 @@ def test_pixels_that_are_not_finite_are_counted_and_named():
     ],
 )
 def test_bad_arguments_are_refused_before_the_work(one_device, scenes, monkeypatch, options, message):
-    monkeypatch.setattr("ncv_cl.prepare.find_points", lambda *arguments: pytest.fail("worked"))
+    monkeypatch.setattr("ncv_cl.rendering.prepare.find_points", lambda *arguments: pytest.fail("worked"))
     with pytest.raises(ValueError, match=message):
         render(scenes / "cornell_box.toml", device=one_device, **{"size": (8, 8), **options})

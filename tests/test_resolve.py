@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from reference import camera_at, light_at, mesh_scene, quad
 
-from ncv_cl.device import HostArray
-from ncv_cl.estimate import Estimate
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
-from ncv_cl.resolve import PixelGrid, combine, estimate_of, resolve_image
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
+from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
+from ncv_cl.sampling.accumulate import Estimate
 
 # 3 × 2 pixels of 2 × 2 sub-pixels: 6 columns. Pixel (0, 0) has sub-pixels 0, 1, 6, 7; pixel (1, 2)
 # has 16, 17, 22, 23. The last two points lie on lights 1 and 0.

@@ -12,10 +12,10 @@ from unittest.mock import Mock
 import pyopencl as cl
 import pytest
 
-from ncv_cl import choose, runtimes
-from ncv_cl import device as device_module
-from ncv_cl.choose import all_devices, choose_device, devices
-from ncv_cl.device import DeviceError, list_cl_devices, open_device
+from ncv_cl.opencl import choose, runtimes
+from ncv_cl.opencl import device as device_module
+from ncv_cl.opencl.choose import all_devices, choose_device, devices
+from ncv_cl.opencl.device import DeviceError, list_cl_devices, open_device
 
 ROOT = Path(__file__).parent.parent
 UNKNOWN_CPU = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-generic "
@@ -165,7 +165,7 @@ def test_a_library_of_the_environment_is_registered_while_the_loader_looks(tmp_p
     # PoCL's library in the place of Intel's, with no system entries: only the registration finds it.
     program = f"""
 import os, pathlib, tempfile
-from ncv_cl import runtimes
+from ncv_cl.opencl import runtimes
 runtimes._VENDORS = pathlib.Path({str(tmp_path)!r})
 runtimes._intel_library = lambda: {entries[0]!r}
 before = set(os.listdir(tempfile.gettempdir()))

@@ -10,8 +10,8 @@ from reference import batch_arrays, camera_at, light_at, mesh_scene, quad, sampl
 from reference import square_samples as expected_samples
 
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.sampler import SAMPLERS
-from ncv_cl.samples import NO_RAY
+from ncv_cl.points.sampler import SAMPLERS
+from ncv_cl.sampling.samples import NO_RAY
 
 # A floor and a wall under a light that faces part of them only, so that some samples get no ray.
 TRIANGLES = np.concatenate(
@@ -97,7 +97,7 @@ def test_coordinates_are_the_samplers(device, sampler, stream):
 
 
 def test_batches_cover_the_active_points_and_respect_the_scratch_memory(one_device, monkeypatch):
-    monkeypatch.setattr("ncv_cl.samples.SAMPLES_PER_BATCH", 160)
+    monkeypatch.setattr("ncv_cl.sampling.samples.SAMPLES_PER_BATCH", 160)
     points, source, _ = sampling(one_device, scene(), DirectLight(), SIZE, 17)
     parts = source.batches()
     assert [point for part in parts for point in part] == list(range(points.active))
@@ -110,7 +110,7 @@ def test_batches_cover_the_active_points_and_respect_the_scratch_memory(one_devi
 
 
 def test_more_samples_than_a_batch_should_hold_still_fit_a_point(one_device, monkeypatch):
-    monkeypatch.setattr("ncv_cl.samples.SAMPLES_PER_BATCH", 8)
+    monkeypatch.setattr("ncv_cl.sampling.samples.SAMPLES_PER_BATCH", 8)
     points, source, _ = sampling(one_device, scene(), DirectLight(), SIZE, 40)
     assert source.points_per_batch == 1
     assert len(source.batches()) == points.active

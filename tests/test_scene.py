@@ -11,7 +11,7 @@ import trimesh
 from trimesh.transformations import rotation_matrix
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
-from ncv_cl.scene import Scene, SceneError, load_scene
+from ncv_cl.scene.load import Scene, SceneError, load_scene
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

@@ -18,12 +18,13 @@ from reference import camera_directions, polygon_irradiance
 from trimesh.transformations import rotation_matrix
 
 from ncv_cl import AmbientOcclusion, GlobalIllumination, render
-from ncv_cl.encode import GridCube
-from ncv_cl.paths import triangle_records
-from ncv_cl.points import RELATIVE_OFFSET, find_points
-from ncv_cl.scene import Camera, load_scene
-from ncv_cl.scene_geometry import flat_mesh, quad_mesh, sphere_mesh
-from ncv_cl.scene_place import (
+from ncv_cl.network.encode import GridCube
+from ncv_cl.points.points import RELATIVE_OFFSET, find_points
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.paths import triangle_records
+from ncv_cl.scene.geometry import flat_mesh, quad_mesh, sphere_mesh
+from ncv_cl.scene.load import Camera, load_scene
+from ncv_cl.scene.place import (
     LARGEST_RATIO,
     cut_huge,
     is_coarse,
@@ -31,7 +32,6 @@ from ncv_cl.scene_place import (
     scene_origin,
     unresolved_steps,
 )
-from ncv_cl.trace import Tracer
 
 BOX = np.array([[-0.3, 0.0, -0.2], [0.1, 0.05, 0.2]])
 SIZE = (32, 32)

@@ -16,11 +16,11 @@ from reference import (
     shadowed_values,
 )
 
-from ncv_cl.device import HostArray
 from ncv_cl.integrands import GlobalIllumination
-from ncv_cl.points import surface_defines
-from ncv_cl.scene import load_scene
-from ncv_cl.shadow import MOST_CASTERS, shadow_casters, shadow_defines
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import surface_defines
+from ncv_cl.scene.load import load_scene
+from ncv_cl.visibility.shadow import MOST_CASTERS, shadow_casters, shadow_defines
 
 KERNEL = """
 kernel void reaches(const uint count, global const float *casters, global const float *rays,

@@ -17,11 +17,11 @@ from reference import (
     shadowed_values,
 )
 
-from ncv_cl import shaft
 from ncv_cl.integrands import DirectLight
-from ncv_cl.render import render
-from ncv_cl.samples import NO_RAY, SEEN
-from ncv_cl.shaft import COMMON_LISTS
+from ncv_cl.rendering.render import render
+from ncv_cl.sampling.samples import NO_RAY, SEEN
+from ncv_cl.visibility import shaft
+from ncv_cl.visibility.shaft import COMMON_LISTS
 
 CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
 FLOOR = quad([-4, -1, -4], [0, 0, 8], [8, 0, 0])

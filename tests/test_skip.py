@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.image import Image
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.points import find_points
-from ncv_cl.render import render
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
-from ncv_cl.scene import load_scene
-from ncv_cl.trace import Tracer
+from ncv_cl.output.image import Image
+from ncv_cl.points.points import find_points
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.rendering.render import render
+from ncv_cl.sampling.samples import SampleSource
+from ncv_cl.scene.load import load_scene
 
 SIZE = (32, 32)
 

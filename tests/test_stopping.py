@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from ncv_cl import load_scene, render
-from ncv_cl.auto import Prediction
-from ncv_cl.clock import Clock, OutOfTime
+from ncv_cl.estimation.auto import Prediction
+from ncv_cl.estimation.passes import short_pass_edges
+from ncv_cl.estimation.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping, smallest_strip
+from ncv_cl.host.clock import Clock, OutOfTime
 from ncv_cl.integrands import AmbientOcclusion, DirectLight, GlobalIllumination
-from ncv_cl.passes import short_pass_edges
-from ncv_cl.split import render_split
-from ncv_cl.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping, smallest_strip
+from ncv_cl.rendering.split import render_split
 
 # A floor under a weak light; a strong one shines on the floor's other side, seen by none of its points.
 TWO_LIGHTS = """
@@ -57,8 +57,8 @@ def two_lights(tmp_path):
     return load_scene(path)
 
 
-def estimation(samples, error, something=True):
-    """What an `ErrorTarget` asks of an estimation."""
+def image_estimate(samples, error, something=True):
+    """What an `ErrorTarget` asks of an image_estimate."""
     return SimpleNamespace(samples=samples, image_error=lambda: error, finds_something=lambda: something)
 
 
@@ -69,17 +69,17 @@ def test_an_error_is_believed_when_every_light_was_sampled(two_lights):
     for uniform_share in (1.0, 0.1):
         target = ErrorTarget(1e-3, two_lights, DirectLight(), uniform_share)
         fewest = FEWEST_ON_A_LIGHT / strip / uniform_share
-        assert not target.reached(estimation(0.99 * fewest, 1e-9))
-        assert target.reached(estimation(1.01 * fewest, 1e-9))
-        assert not target.reached(estimation(1.01 * fewest, 2e-3))
+        assert not target.reached(image_estimate(0.99 * fewest, 1e-9))
+        assert target.reached(image_estimate(1.01 * fewest, 1e-9))
+        assert not target.reached(image_estimate(1.01 * fewest, 2e-3))
 
 
 def test_an_error_that_is_not_known_or_of_nothing_is_not_believed(two_lights):
     target = ErrorTarget(1e-3, two_lights, AmbientOcclusion(), 1.0)
-    assert not target.reached(estimation(1e9, math.nan))
-    assert not target.reached(estimation(1e9, 0.0, something=False))
-    assert target.reached(estimation(1e9, 0.0, something=True))
-    assert not ErrorTarget(None, two_lights, AmbientOcclusion(), 1.0).reached(estimation(1e9, 1e-9))
+    assert not target.reached(image_estimate(1e9, math.nan))
+    assert not target.reached(image_estimate(1e9, 0.0, something=False))
+    assert target.reached(image_estimate(1e9, 0.0, something=True))
+    assert not ErrorTarget(None, two_lights, AmbientOcclusion(), 1.0).reached(image_estimate(1e9, 1e-9))
 
 
 @pytest.mark.parametrize("method", ["mc", "ncv", "auto"])
@@ -217,9 +217,9 @@ class Countdown(Clock):
 @pytest.mark.parametrize("method", ["ncv", "auto"])
 def test_training_is_given_up_wherever_it_is(one_device, scenes, method, monkeypatch):
     """Its samples still count, and so do those of a first pass, once each."""
-    monkeypatch.setattr("ncv_cl.auto.LONGEST_SAMPLE", np.inf)
-    monkeypatch.setattr("ncv_cl.first_pass.predict", forced_network)
-    monkeypatch.setattr(sys.modules["ncv_cl.render"], "Clock", Countdown)
+    monkeypatch.setattr("ncv_cl.estimation.auto.LONGEST_SAMPLE", np.inf)
+    monkeypatch.setattr("ncv_cl.estimation.first_pass.predict", forced_network)
+    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "Clock", Countdown)
     options = {"spp": 32, "size": (24, 24), "time_limit": 1e6, "device": one_device}
     truth = render(scenes / "occluders.toml", "ao", "mc", **{**options, "time_limit": None, "spp": 512})
     methods = []

@@ -10,23 +10,24 @@ import numpy as np
 import pytest
 
 import ncv_cl as ncv
-from ncv_cl import auto, render
-from ncv_cl.density import DensityTrainer
-from ncv_cl.program import Kernel
-from ncv_cl.sampler import HostStream, Stream, host_generator
+from ncv_cl import render
+from ncv_cl.estimation import auto
+from ncv_cl.learning.density import DensityTrainer
+from ncv_cl.opencl.program import Kernel
+from ncv_cl.points.sampler import HostStream, Stream, host_generator
 
 SIZE = (24, 24)
 # Which function, in which module, draws for which purpose; the innermost one counts.
 STAGES = {
-    ("estimation", "warm_up"): "warm-up",
+    ("image_estimate", "warm_up"): "warm-up",
     ("samples", "unshadowed_means"): "unshadowed",
     ("pilot", "draw_pilot"): "pilot",
-    ("custom", "centre"): "offset",
+    ("callable", "centre"): "offset",
     ("learn", "_train"): "training",
     ("learn", "_run"): "held out",
     ("first_pass", "predict_from_first_pass"): "first pass",
     ("render", "_draw"): "passes",
-    ("custom", "estimate"): "passes",
+    ("estimate", "estimate"): "passes",
 }
 PURPOSES = {
     "warm-up": {Stream.WARM_UP},

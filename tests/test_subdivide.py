@@ -8,9 +8,9 @@ import pytest
 from rational import exact_cell_count, exact_integral, random_network
 from test_certificate import TORTURE_NAMES, torture_network
 
-from ncv_cl import program
-from ncv_cl.integrate import integrate
-from ncv_cl.subdivide import draw_subdivision, subdivide
+from ncv_cl.integration.integrate import integrate
+from ncv_cl.integration.subdivide import draw_subdivision, subdivide
+from ncv_cl.opencl import program
 
 
 def forward(network, points, slope=0.0):

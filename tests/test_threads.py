@@ -9,9 +9,10 @@ from threading import Barrier
 import numpy as np
 import pytest
 
-from ncv_cl import choose_device, estimate, integrate, program, render
-from ncv_cl import device as device_module
-from ncv_cl.device import HostArray, open_device
+from ncv_cl import choose_device, estimate, integrate, render
+from ncv_cl.opencl import device as device_module
+from ncv_cl.opencl import program
+from ncv_cl.opencl.device import HostArray, open_device
 
 # Scenes, integrands and methods that share kernels with another of them, and that do not.
 JOBS = (

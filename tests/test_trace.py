@@ -8,7 +8,7 @@ import trimesh
 from reference import camera_at, intersect, mesh_scene, quad, sampling, unit
 
 from ncv_cl.integrands import AmbientOcclusion
-from ncv_cl.trace import Hits, Tracer
+from ncv_cl.points.trace import Hits, Tracer
 
 HERE = camera_at([0, 0, 5], [0, 0, 0])
 SLACK = 1e-4
@@ -25,7 +25,7 @@ def random_case(rays: int, seed: int = 1):
 
 @pytest.mark.parametrize(("rays", "threads"), [(0, 1), (1, 2), (999, 3), (1000, 2), (10007, 3)])
 def test_closest_hits_and_visibility_match_brute_force(monkeypatch, rays, threads):
-    monkeypatch.setattr("ncv_cl.trace.CHUNK", 1000)
+    monkeypatch.setattr("ncv_cl.points.trace.CHUNK", 1000)
     scene, origins, directions = random_case(rays)
     tracer = Tracer(scene, threads)
     triangle, u, v, distance = intersect(scene, origins, directions)
@@ -53,14 +53,14 @@ def test_closest_hits_and_visibility_match_brute_force(monkeypatch, rays, thread
 def test_chunks_and_threads_change_nothing(monkeypatch):
     scene, origins, directions = random_case(70001)
     whole = Tracer(scene, 1).closest(origins, directions)
-    monkeypatch.setattr("ncv_cl.trace.CHUNK", 777)
+    monkeypatch.setattr("ncv_cl.points.trace.CHUNK", 777)
     parts = Tracer(scene, 4).closest(origins, directions)
     for name in ("triangle", "u", "v"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(parts, name))
 
 
 def test_both_kinds_at_once_are_each_alone(monkeypatch):
-    monkeypatch.setattr("ncv_cl.trace.SMALLEST_CHUNK", 300)
+    monkeypatch.setattr("ncv_cl.points.trace.SMALLEST_CHUNK", 300)
     scene, origins, directions = random_case(5003)
     tracer = Tracer(scene, 3)
     # Planes, as wavefronts have them, instead of rows.

@@ -9,20 +9,21 @@ import numpy as np
 import pytest
 from test_network import ALL_INPUTS, knot_points, random_network
 
-from ncv_cl.device import HostArray
-from ncv_cl.encode import _by_entry
 from ncv_cl.integrands import DirectLight
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import NO_RAY, SampleSource
-from ncv_cl.trace import Tracer
-from ncv_cl.train import Trainer, TrainSettings
+from ncv_cl.learning.train import Trainer
+from ncv_cl.network.encode import _by_entry
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.samples import NO_RAY, SampleSource
+from ncv_cl.settings.schedule import Schedule
 
 # With so large an epsilon the first Adam step is the gradient times rate / epsilon.
 STEP = 100.0
-PLAIN = TrainSettings(
+PLAIN = Schedule(
     batch=1 << 20,
     samples_a_step=3,
-    passes=1,
+    epochs=1,
     rate=1e8,
     final_rate=1e8,
     table_rate=1.0,
@@ -133,14 +134,14 @@ def unscale(description, parameters, group, factor):
 def test_the_table_takes_adams_steps_where_it_is_asked_to(device, scenes):
     rate = 0.02
     # The network itself stays where it is.
-    settings = TrainSettings(
+    settings = Schedule(
         batch=1 << 20, samples_a_step=3, rate=1e-12, final_rate=1e-12, table_rate=rate * 1e12,
         table_adam=True, weight_power=1.0,
     )  # fmt: skip
     options = {"inputs": ("position",), "grid_entries": 256, "grid_features": 2}
     tables, gradients, picks = [], [], None
-    for passes in range(1, 4):
-        trainer, network, *data = prepare(device, scenes, replace(settings, passes=passes), **options)
+    for epochs in range(1, 4):
+        trainer, network, *data = prepare(device, scenes, replace(settings, epochs=epochs), **options)
         trainer.fit()
         tables.append(trainer.network().table)
     for before in (network.table, *tables[:-1]):
@@ -184,7 +185,7 @@ def test_untouched_grid_entries_keep_their_value(one_device, scenes):
 
 @pytest.mark.parametrize("demodulated", [False, True])
 def test_training_explains_most_of_the_variance(device, scenes, demodulated):
-    settings = TrainSettings(batch=16, passes=64)
+    settings = Schedule(batch=16, epochs=64)
     trainer, _, _, _, f, factors = prepare(device, scenes, settings, samples=16, demodulated=demodulated)
     final = trainer.fit()
     share = f / factors.mean()
@@ -194,7 +195,7 @@ def test_training_explains_most_of_the_variance(device, scenes, demodulated):
 
 @pytest.mark.parametrize("demodulated", [False, True])
 def test_a_trainer_goes_on_from_another_on_other_points(one_device, scenes, demodulated):
-    settings = TrainSettings(batch=16, passes=16)
+    settings = Schedule(batch=16, epochs=16)
     trainer, network, (points, _), *_ = prepare(
         one_device, scenes, settings, samples=16, demodulated=demodulated
     )
@@ -218,7 +219,7 @@ def test_a_trainer_goes_on_from_another_on_other_points(one_device, scenes, demo
 @pytest.mark.parametrize("demodulated", [False, True])
 def test_two_runs_are_bit_equal(device, scenes, demodulated):
     def run():
-        settings = TrainSettings(batch=16)
+        settings = Schedule(batch=16)
         trainer, *_ = prepare(device, scenes, settings, samples=16, demodulated=demodulated)
         trainer.fit()
         return trainer.network()

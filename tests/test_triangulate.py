@@ -10,18 +10,19 @@ from reference import camera_at, light_at, mesh_scene, quad, unpack_records
 from scipy import stats
 from test_warp import BINS
 
-from ncv_cl import render, triangulate
-from ncv_cl.density import Density
-from ncv_cl.device import HostArray
-from ncv_cl.encode import Encoding
+from ncv_cl import render
 from ncv_cl.integrands import DirectLight
-from ncv_cl.network import NetworkDescription, NetworkError
-from ncv_cl.points import find_points
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
-from ncv_cl.trace import Tracer
-from ncv_cl.triangulate import VERTEX_BITS, TriangleWarp
-from ncv_cl.warp import pack_records
+from ncv_cl.learning import triangulate
+from ncv_cl.learning.density import Density
+from ncv_cl.learning.triangulate import VERTEX_BITS, TriangleWarp
+from ncv_cl.network.encode import Encoding
+from ncv_cl.network.network import NetworkDescription, NetworkError
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import find_points
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.samples import SampleSource
+from ncv_cl.sampling.warp import pack_records
 
 SHARE = 0.1
 LINES = 16

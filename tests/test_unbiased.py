@@ -21,7 +21,7 @@ import pytest
 from scipy import stats
 
 from ncv_cl import AmbientOcclusion, DirectLight, render
-from ncv_cl.sampler import SAMPLERS
+from ncv_cl.points.sampler import SAMPLERS
 
 SCENES = ("cornell_box", "knot", "occluders", "plane_light")
 INTEGRANDS = {

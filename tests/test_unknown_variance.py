@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from ncv_cl import Image, render
-from ncv_cl.auto import predict
-from ncv_cl.calibrate import calibrate, local_mean, steadied
 from ncv_cl.cli import main
-from ncv_cl.estimate import Estimate
-from ncv_cl.pilot import allocate_by_pilot
-from ncv_cl.probe import Probe
-from ncv_cl.report import finite
-from ncv_cl.resolve import combine
-from ncv_cl.split import render_split
+from ncv_cl.estimation.auto import predict
+from ncv_cl.estimation.calibrate import calibrate, local_mean, steadied
+from ncv_cl.estimation.pilot import allocate_by_pilot
+from ncv_cl.opencl.probe import Probe
+from ncv_cl.output.report import finite
+from ncv_cl.output.resolve import combine
+from ncv_cl.rendering.split import render_split
+from ncv_cl.sampling.accumulate import Estimate
 
 SIZE = (24, 20)
 WAYS = [
@@ -177,7 +177,7 @@ def test_a_pilot_of_one_sample_tells_nothing_apart():
 
 
 def test_a_first_pass_of_one_sample_promises_nothing(monkeypatch):
-    monkeypatch.setattr("ncv_cl.auto.cached_probe", lambda device: Probe(10.0, True))
+    monkeypatch.setattr("ncv_cl.estimation.auto.cached_probe", lambda device: Probe(10.0, True))
     assert predict(None, estimate(np.ones(100)), None, 0.1, 1e9).method == "mc"
 
 

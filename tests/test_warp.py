@@ -7,13 +7,13 @@ import pytest
 from reference import camera_at, light_at, mesh_scene, quad, unpack_records
 from scipy import stats
 
-from ncv_cl.device import HostArray
 from ncv_cl.integrands import DirectLight
-from ncv_cl.points import find_points
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import SampleSource
-from ncv_cl.trace import Tracer
-from ncv_cl.warp import DENSITY_BINS, DENSITY_WORDS, EDGE_UNITS, TableWarp, pack_records
+from ncv_cl.opencl.device import HostArray
+from ncv_cl.points.points import find_points
+from ncv_cl.points.sampler import Stream
+from ncv_cl.points.trace import Tracer
+from ncv_cl.sampling.samples import SampleSource
+from ncv_cl.sampling.warp import DENSITY_BINS, DENSITY_WORDS, EDGE_UNITS, TableWarp, pack_records
 
 BINS = DENSITY_BINS
 

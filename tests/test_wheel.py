@@ -59,8 +59,11 @@ def test_wheel_renders_in_a_fresh_environment(wheel, tmp_path):
     ask = "import pathlib, ncv_cl; print(pathlib.Path(ncv_cl.__file__).parent)"
     package = Path(run(programs / "python", "-c", ask, cwd=tmp_path, env=environment).strip())
     assert package.is_relative_to(tmp_path / "venv")
-    names = {kernel.name for kernel in (CHECKOUT / "cl").glob("*.cl")}
-    assert names and {kernel.name for kernel in (package / "cl").glob("*.cl")} == names
+    ours, installed = (
+        {kernel.relative_to(folder) for kernel in folder.glob("*/*.cl")}
+        for folder in (CHECKOUT / "cl", package / "cl")
+    )
+    assert ours and installed == ours
 
     alone = {"OCL_ICD_VENDORS": f"{package.parent / 'pyopencl' / '.libs'}{os.sep}"}
     listed = run(programs / "ncv-cl", "devices", cwd=tmp_path, env=environment | alone)

@@ -5,7 +5,7 @@ They share `interface.Method`: training samples in, an estimator out. `methods` 
 
 from __future__ import annotations
 
-from ncv_cl.device import Device
+from ncv_cl.opencl.device import Device
 
 from .automatic import AutomaticIntegration
 from .flow import NormalizingFlow

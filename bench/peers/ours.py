@@ -14,28 +14,28 @@ from dataclasses import replace
 import numpy as np
 
 import ncv_cl as ncv
-from ncv_cl.allocate import Allocation, allocate
-from ncv_cl.custom import CallableSource, HostIntegrand
-from ncv_cl.density import Density, DensityTrainer, tabulate
-from ncv_cl.device import Device, HostArray
-from ncv_cl.encode import GridCube
-from ncv_cl.estimate import Estimator as Accumulator
-from ncv_cl.network import FoldedNetwork, Network
-from ncv_cl.passes import Passes, Target
-from ncv_cl.points import ROW, ROW_COUNT, ShadingPoints
-from ncv_cl.presets import PRESETS
-from ncv_cl.sampler import Stream
-from ncv_cl.samples import Batch
-from ncv_cl.settings import Stopwatch
-from ncv_cl.train import Trainer
-from ncv_cl.variate import integrals_of
-from ncv_cl.warp import TableWarp
+from ncv_cl.estimation.allocate import Allocation, allocate
+from ncv_cl.estimation.control_variate import integrals_of
+from ncv_cl.estimation.passes import Passes, Target
+from ncv_cl.learning.density import Density, DensityTrainer, tabulate
+from ncv_cl.learning.train import Trainer
+from ncv_cl.network.encode import GridCube
+from ncv_cl.network.network import FoldedNetwork, Network
+from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
+from ncv_cl.points.sampler import Stream
+from ncv_cl.sampling.accumulate import Accumulator
+from ncv_cl.sampling.callable import CallableSource, HostIntegrand
+from ncv_cl.sampling.samples import Batch
+from ncv_cl.sampling.warp import TableWarp
+from ncv_cl.settings.presets import PRESETS
+from ncv_cl.settings.settings import Stopwatch
 
 from .interface import Estimator, FamilyFunction, Method, Samples
 
 # One integral alone: its training samples are laid out over so many columns, to fill a step's tile, and
 # used so often. A family takes the preset's network and schedule.
-COLUMNS, PASSES = 16, 128
+COLUMNS, EPOCHS = 16, 128
 ALONE_HIDDEN = (32, 32)
 CUBE = GridCube((0.0, 0.0, 0.0), 1.0)
 
@@ -60,7 +60,7 @@ class OursEstimator(Estimator):
         preset = PRESETS["wide"]
         columns = COLUMNS if alone else training.points
         hidden = ALONE_HIDDEN if alone else preset.hidden
-        schedule = replace(preset.settings, passes=PASSES) if alone else preset.settings
+        schedule = replace(preset.schedule, epochs=EPOCHS) if alone else preset.schedule
         samples = training.samples * training.points // columns
         shape = columns, samples
         u, v, values = (

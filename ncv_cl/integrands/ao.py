@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.load import Scene
 from .base import Integrand, IntegrandError
 
 MAPPINGS = ("height", "cosine")

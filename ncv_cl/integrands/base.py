@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..points import ShadingPoints
-from ..scene import Scene
+from ..points.points import ShadingPoints
+from ..scene.load import Scene
 
 
 class IntegrandError(ValueError):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..points import ShadingPoints
-from ..scene import QuadLight, Scene
+from ..points.points import ShadingPoints
+from ..scene.load import QuadLight, Scene
 from .base import Integrand, IntegrandError
 from .lights import emitted_by_lights, light_defines, light_records
 

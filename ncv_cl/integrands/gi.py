@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.load import Scene
 from .base import Integrand, IntegrandError
 from .direct import scattering_defines
 from .lights import emitted_by_lights, light_defines, light_records

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..points import RELATIVE_OFFSET
-from ..scene import QuadLight, Scene
+from ..points.points import RELATIVE_OFFSET
+from ..scene.load import QuadLight, Scene
 
 LIGHT_FLOATS = 32
 # Lights whose sides make less than this part of the distance to their middle (the root of the sum of

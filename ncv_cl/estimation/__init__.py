@@ -1,0 +1,1 @@
+"""The estimate of an image: method, allocation, passes, calibrated variances."""

@@ -1,0 +1,153 @@
+"""The variance of estimates whose samples are not independent, from points that are estimated twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..points.sampler import HostStream, host_generator
+from ..sampling.accumulate import Estimate
+
+# Points that are estimated a second time: a share of all, within bounds.
+TWICE_SHARE = 1 / 32
+FEWEST_TWICE, MOST_TWICE = 256, 4096
+# Of a small image no larger share than this.
+LARGEST_TWICE_SHARE = 1 / 4
+# Values that a point of the variance's curve is estimated from, at least; points of the curve, at most.
+VALUES_A_CLASS = 96
+MOST_CLASSES = 16
+# A prior of the variance counts as much as so many samples.
+PRIOR_SAMPLES = 12
+# What neighbours say is a mean over so many sub-pixels to each side.
+LOCAL_RADIUS = 3
+# Of what is expected of a point's error, the part that its own halves say; the rest is its neighbours'.
+OWN_SHARE = 0.3
+# Stands for a ratio of zero, which has no logarithm.
+SMALLEST_RATIO = 1e-9
+
+
+def points_done_twice(points: int, seed: int) -> np.ndarray:
+    """Indices of the points to estimate a second time, uint32, sorted; at random."""
+    wanted = np.clip(points * TWICE_SHARE, FEWEST_TWICE, MOST_TWICE)
+    count = max(min(points, 1), int(min(wanted, points * LARGEST_TWICE_SHARE)))
+    generator = host_generator(seed, HostStream.POINTS_DONE_TWICE)
+    return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
+
+
+def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Mean of `values` (points,) over the points within `LOCAL_RADIUS` sub-pixels, along both axes.
+
+    `cell` are the points' sub-pixels, row-major on a grid of `rows` x `columns`. A few samples may
+    have missed what a point's neighbours saw. Values that are NaN do not count; zero where all are.
+    """
+    known = ~np.isnan(values)
+    planes = np.zeros((2, rows + 2 * LOCAL_RADIUS + 1, columns + 2 * LOCAL_RADIUS + 1))
+    row, column = cell // columns, cell % columns
+    planes[0, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = np.where(known, values, 0.0)
+    planes[1, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = known
+    # Sums over boxes as differences of sums over all that lies above and to the left.
+    sums = planes.cumsum(axis=1).cumsum(axis=2)
+    width = 2 * LOCAL_RADIUS + 1
+    boxes = (
+        sums[:, width:, width:]
+        - sums[:, :-width, width:]
+        - sums[:, width:, :-width]
+        + sums[:, :-width, :-width]
+    )
+    total, count = boxes[:, row, column]
+    return np.maximum(total / np.maximum(count, 1), 0.0)
+
+
+def calibrate(
+    first: Estimate, second: Estimate, twice: np.ndarray, expected: np.ndarray, repeated: np.ndarray
+) -> Estimate:
+    """One estimate of both, with a variance that holds for stratified samples.
+
+    Half the squared difference of two independent estimates of a point is an unbiased estimate of their
+    variance, but one number is a poor one. So it is averaged over points for which about the same
+    variance was expected: classes of neighbours in that order, between whose middles the ratio of
+    measured to expected is interpolated.
+
+    Parameters
+    ----------
+    first : Estimate
+        Of all points.
+    second : Estimate
+        Of the points `twice`, with as many samples as the first and another scramble.
+    twice : ndarray
+        uint32.
+    expected : ndarray
+        (channels, points), what is expected of the first estimate's variance, up to a factor that may
+        depend on it: `steadied` or `halves`.
+    repeated : ndarray
+        (channels, points done twice), the same of the second estimate.
+    """
+    difference = first.mean[:, twice] - second.mean[:, twice]
+    measured = 0.5 * difference**2
+    # What fewer than two samples say of a point is not taken for its variance.
+    expected = np.where(first.known, expected, np.nan)
+    both = 0.5 * (expected[:, twice] + repeated)
+    if np.any(both > 0):
+        found = expected * _ratio_curve(both.ravel(), measured.ravel(), expected)
+    else:
+        # No point's own samples differ, its two estimates may.
+        found = np.where(np.isnan(expected), np.nan, measured.mean())
+    mean, variance, samples = first.mean.copy(), found, first.samples.copy()
+    mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
+    variance[:, twice] *= 0.5
+    samples[twice] += second.samples[twice]
+    return replace(first, mean=mean, samples=samples, calibrated=variance)
+
+
+def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """What to expect of the variance of `mean`, of all samples, from that of a `part` of them.
+
+    Up to a factor that all points share, the squared difference of two parts of a point's samples is an
+    estimate of its variance however its samples are spread; that of its neighbours steadies it.
+
+    Parameters
+    ----------
+    mean, part : ndarray
+        (channels, points).
+    cell, columns, rows
+        As `local_mean` takes them.
+    """
+    squares = (mean - part) ** 2
+    near = np.stack([local_mean(row, cell, columns, rows) for row in squares])
+    return OWN_SHARE * squares + (1 - OWN_SHARE) * near
+
+
+def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
+    """Variances of single samples, (channels, points), each with the prior's mixed in.
+
+    Where there are few samples their variance is itself uncertain; with fewer than two it stays unknown.
+
+    Parameters
+    ----------
+    prior : ndarray, optional
+        (points,), what the variance of a point's sample was predicted to be, up to a common factor.
+    """
+    if prior is None or not np.any(prior):
+        return estimate.variance
+    degrees = np.maximum(estimate.samples - 1, 0)
+    squares = np.where(estimate.known, estimate.variance * degrees, 0.0)
+    scale = squares.sum(axis=1) / max(np.sum(prior * degrees), 1e-300)
+    expected = scale[:, None] * prior
+    found = (squares + PRIOR_SAMPLES * expected) / (degrees + PRIOR_SAMPLES)
+    return np.where(estimate.known, found, np.nan)
+
+
+def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """The ratio measured / expected as a function of expected, evaluated at `where`."""
+    positive = np.flatnonzero(expected > 0)
+    ranked = positive[np.argsort(expected[positive], kind="stable")]
+    classes = np.array_split(ranked, int(np.clip(len(ranked) // VALUES_A_CLASS, 1, MOST_CLASSES)))
+    sums = np.array([expected[one].sum() for one in classes])
+    # Where a class lies is weighted as its sum is, or steep curves would be read at the wrong place.
+    middle = np.array([(expected[one] @ np.log(expected[one])) for one in classes]) / sums
+    ratios = np.array([measured[one].sum() for one in classes]) / sums
+    # Straight between logarithms, constant beyond the first and the last class.
+    logarithms = np.log(np.maximum(ratios, SMALLEST_RATIO))
+    places = np.log(np.maximum(where, np.exp(middle[0] - 1)))
+    return np.exp(np.interp(places, middle, logarithms))

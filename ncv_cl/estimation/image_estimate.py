@@ -1,0 +1,230 @@
+"""The estimates of one image under way: of all points, and once more of some, for the variance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..learning.density import Density
+from ..learning.triangulate import TriangleWarp
+from ..network.network import FoldedNetwork
+from ..opencl.device import Device, HostArray
+from ..points.sampler import Stream
+from ..sampling.accumulate import Accumulator, Estimate
+from ..sampling.samples import Batches
+from ..sampling.warp import TableWarp, Warp
+from ..settings.settings import RenderSettings, Stopwatch
+from .allocate import Allocation
+from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
+from .passes import Passes, Target
+
+
+class ImageEstimate:
+    """Estimators of f and, with a control variate, of f - g, and the passes that fill them.
+
+    Parameters
+    ----------
+    device, source, settings
+    allocation : Allocation
+        Samples of every point.
+    edges : sequence of int
+        As `Passes` takes them.
+    folded : FoldedNetwork, optional
+        The control variate.
+    density : Density, optional
+        Where its residual is.
+    watch : Stopwatch
+
+    Attributes
+    ----------
+    passes : Passes
+    done : int
+        How many of them.
+    twice : ndarray
+        uint32, the points that are estimated twice.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        source: Batches,
+        settings: RenderSettings,
+        allocation: Allocation,
+        edges: Sequence[int],
+        folded: FoldedNetwork | None,
+        density: Density | None,
+        watch: Stopwatch,
+    ) -> None:
+        points, channels = source.points, settings.integrand.channels
+        self._device, self._settings = device, settings
+        self._points = points
+        self._magnitude = density.magnitude if density is not None else None
+        self._first = Accumulator(device, points, channels, folded)
+        self._second: Accumulator | None = None
+        once, again = (
+            (Stream.PLAIN, Stream.PLAIN_AGAIN)
+            if folded is None
+            else (Stream.RESIDUAL, Stream.RESIDUAL_AGAIN)
+        )
+        targets = [Target(self._first, allocation, once)]
+        self.twice = np.empty(0, np.uint32)
+        # Independent samples tell their variance themselves; others need points that are done twice.
+        if points.active and settings.sampler != "independent":
+            self.twice = points_done_twice(points.active, settings.seed)
+            self._second = Accumulator(device, points, channels, folded, self.twice)
+            restricted = allocation.restricted(self.twice, points.active)
+            targets.append(Target(self._second, restricted, again))
+        warp = None
+        if density is not None and folded is not None:
+            warp = _warp(device, settings.residual_density, folded, density)
+        self.passes = Passes(device, source, targets, edges, warp, watch, self._keep_parts)
+        # Means after the last powers of two of passes: parts of what there is.
+        self.parts: list[np.ndarray] = []
+        self.done = 0
+        self._warp = warp
+        # By a density samples lie where errors are, and their variance tells these well.
+        self._looks_at_parts = self._second is not None and warp is None
+
+    def results(self) -> list[Estimate]:
+        """Estimates so far: of f and, with a control variate, of f - g.
+
+        The image is made of the last one, which alone has points done twice in its mean and variance.
+        """
+        final = self._final()
+        if self._first.quantities == 1:
+            return [final]
+        return [replace(self._first.result(), samples=final.samples), final]
+
+    def _final(self) -> Estimate:
+        """Of what the image is made of, with the variance that its mean has."""
+        quantity = self._first.quantities - 1
+        first = self._first.result(quantity)
+        if not self._points.active:
+            return first
+        prior = self._prior(first)
+        if self._second is None:
+            return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
+        second = self._second.result(quantity)
+        # The last one may be all there is.
+        parts = self.parts[:-1] if _is_power_of_two(self.done) else self.parts
+        if parts:
+            expected = halves(first.mean, parts[-1][quantity], *self._grid)
+            repeated = expected[:, self.twice]
+        else:
+            expected, repeated = (
+                steadied(each, prior) / np.maximum(each.samples, 1) for each in (first, second)
+            )
+            repeated = repeated[:, self.twice]
+        return calibrate(first, second, self.twice, expected, repeated)
+
+    def end(self) -> tuple[Estimate, Estimate | None]:
+        """The final estimates of f and of f - g, if there is a control variate.
+
+        What only drawing samples needs is let go of before.
+        """
+        del self.passes
+        self._warp = None
+        for accumulator in (self._first, self._second):
+            if accumulator is not None:
+                accumulator.network = None
+        results = self.results()
+        return results[0], results[1] if len(results) > 1 else None
+
+    def _keep_parts(self, done: int) -> None:
+        """Keep the means after the last two powers of two of passes."""
+        self.done = done
+        if self._looks_at_parts and _is_power_of_two(done):
+            self.parts = [*self.parts[-1:], self._first.means()]
+
+    @property
+    def _grid(self) -> tuple[np.ndarray, int, int]:
+        """The points' sub-pixels, and columns and rows of these."""
+        columns, rows = (self._settings.supersample * size for size in self._settings.size)
+        return self._points.cell[: self._points.active], columns, rows
+
+    def _prior(self, estimate: Estimate) -> np.ndarray:
+        """What to expect of the variance of a point's sample, up to a factor: (points,)."""
+        variance = estimate.variance.sum(axis=0)
+        prior = local_mean(variance, *self._grid)
+        if self._magnitude is None:
+            return prior
+        predicted = self._magnitude**2
+        return prior / max(prior.mean(), 1e-300) + predicted / max(predicted.mean(), 1e-300)
+
+    def warm_up(self, source: Batches) -> None:
+        """Compile what passes run: compilation would be taken for what samples cost."""
+        rays = replace(source.rays)
+        channels = self._settings.integrand.channels
+        accumulator = Accumulator(self._device, self._points, channels, self._first.network)
+        order = HostArray.of(self._device, np.zeros(1, np.uint32))
+        accumulator.add(source.draw(range(1), range(1), Stream.WARM_UP, order, self._warp))
+        self._device.queue.finish()
+        source.rays = rays
+
+    @property
+    def follows_density(self) -> bool:
+        """Whether samples go where a learned density says, and not everywhere alike."""
+        return self._warp is not None
+
+    @property
+    def samples(self) -> float:
+        """Of all points together, so far."""
+        return float(self._first.samples.sum())
+
+    def finds_something(self) -> bool:
+        """Whether an estimate of any point is not zero."""
+        return bool(self._first.means().any())
+
+    def first_estimate(self) -> Estimate:
+        """Of f, without what is done twice."""
+        return self._first.result()
+
+    def differences(self) -> np.ndarray | None:
+        """Between the estimates of f of the points done twice, (channels, points), if there are any."""
+        if self._second is None:
+            return None
+        return (self._first.result().mean - self._second.result().mean)[:, self.twice]
+
+    def image_error(self) -> float:
+        """The mean square error of the image's pixels so far, as its variances say; NaN: not known."""
+        variance = self._final().variance_of_mean
+        settings = self._settings
+        # Errors of a pixel's points are independent; one channel stands for all three.
+        pixels = settings.size[0] * settings.size[1]
+        return float(variance.mean(axis=0).sum()) / (pixels * settings.supersample**4)
+
+    def states(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What `restore` takes."""
+        return [one.state() for one in (self._first, self._second) if one is not None]
+
+    def restore(
+        self, states: list[tuple[np.ndarray, np.ndarray]], parts: list[np.ndarray], done: int
+    ) -> None:
+        """Go on from another image_estimate's `states` and `parts` after `done` passes.
+
+        Raises
+        ------
+        ValueError
+            If these are not of the same points, channels and passes.
+        """
+        accumulators = [one for one in (self._first, self._second) if one is not None]
+        shape = (self._first.quantities, self._first.channels, self._points.active)
+        fits = len(states) == len(accumulators) and done <= self.passes.number
+        if not fits or any(part.shape != shape for part in parts):
+            raise ValueError("the checkpoint's arrays do not fit this render: it was tampered with")
+        self.parts, self.done = parts, done
+        for accumulator, state in zip(accumulators, states, strict=True):
+            accumulator.restore(*state)
+
+
+def _warp(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:
+    """What draws samples by a density of this kind."""
+    if kind == "subdivision":
+        return TriangleWarp(device, folded, density)
+    return TableWarp(density.table) if kind == "table" else None
+
+
+def _is_power_of_two(number: int) -> bool:
+    return number & (number - 1) == 0

@@ -1,0 +1,190 @@
+"""Drawing what was allocated, pass after pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from ..opencl.device import Device, HostArray
+from ..points.sampler import Stream
+from ..sampling.accumulate import Accumulator
+from ..sampling.samples import Batches
+from ..sampling.warp import Warp
+from ..settings.settings import RenderSettings, Stopwatch
+from .allocate import Allocation
+
+# Samples of a short pass in all: small parts of a second, and many enough to keep a device busy.
+SHORT_PASS, SHORT_NESTED_PASS = 1 << 17, 1 << 15
+
+
+class Target(NamedTuple):
+    """An estimate, the samples it is to get, and the stream they come from."""
+
+    accumulator: Accumulator
+    allocation: Allocation
+    stream: Stream
+
+
+def pass_edges(samples: int, samples_a_pass: int, first_pass: int | None = None) -> list[int]:
+    """Where passes begin and end, in samples a point: all of one length, but for the last.
+
+    There are two at least, where there are samples for it: by how far they differ the error is known.
+
+    Parameters
+    ----------
+    first_pass : int, optional
+        Cuts so many off the first one, and leaves the others where they are.
+    """
+    edges = [*range(0, samples, samples_a_pass), samples]
+    if len(edges) > 2 and edges[-1] - edges[-2] < samples_a_pass / 2:
+        del edges[-2]
+    if first_pass is not None and first_pass < edges[1]:
+        edges.insert(1, first_pass)
+    return edges if len(edges) > 2 or samples == 1 else [0, samples // 2, samples]
+
+
+def shortest_pass(settings: RenderSettings, points: int) -> int:
+    """Samples a point of the first passes of a render of `points` points that must end in time."""
+    samples = SHORT_NESTED_PASS if settings.integrand.nested else SHORT_PASS
+    return max(1, samples // max(points, 1))
+
+
+def short_pass_edges(
+    samples: int, samples_a_pass: int, shortest: int, first_pass: int | None = None
+) -> np.ndarray:
+    """As `pass_edges`, int64, for renders that must end in time: short passes at first.
+
+    None is longer than a sixteenth of all before it, or than `shortest` where that is more, so that
+    what a pass takes is known from the one before and little time is left unused.
+    """
+    head = [0]
+    while head[-1] < samples:
+        length = max(shortest, head[-1] // 16)
+        if length >= samples_a_pass:
+            break
+        head.append(min(head[-1] + length, samples))
+    regular = np.arange(head[-1] + samples_a_pass, samples, samples_a_pass, dtype=np.int64)
+    end = [samples] if head[-1] < samples else []
+    edges = np.concatenate([head, regular, end]).astype(np.int64)
+    if first_pass is None or first_pass >= samples or first_pass in edges:
+        return edges
+    return np.insert(edges, np.searchsorted(edges, first_pass), first_pass)
+
+
+def edges_of(
+    settings: RenderSettings,
+    points: int,
+    samples_a_pass: int,
+    first_pass: int | None = None,
+    done: Sequence[int] | None = None,
+) -> Sequence[int]:
+    """Where the passes of a render of `points` points begin and end.
+
+    Parameters
+    ----------
+    first_pass
+        As `pass_edges` takes it.
+    done : sequence of int, optional
+        Those of the passes that a checkpoint holds.
+    """
+    if settings.time_limit is None:
+        edges: Sequence[int] = pass_edges(settings.spp, samples_a_pass, first_pass)
+    else:
+        shortest = shortest_pass(settings, points)
+        edges = short_pass_edges(settings.spp, samples_a_pass, shortest, first_pass)
+    if done is None:
+        return edges
+    return [*done, *edges[np.searchsorted(edges, done[-1], side="right") :]]
+
+
+class Passes:
+    """Draws the samples of several estimates side by side.
+
+    A pass takes the same share of every point's samples and is done for all points or not at all, so
+    that after any pass there is an estimate of the whole image.
+
+    Parameters
+    ----------
+    device, source
+    targets : sequence of Target
+    edges : sequence of int
+        Where the passes begin and end, in samples a point on average: 0, ..., all.
+    density : Warp, optional
+        As `SampleSource.draw` takes it.
+    watch : Stopwatch
+        Gets the seconds of stage "estimate".
+    after_pass : callable
+        Told after each pass how many are done.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        source: Batches,
+        targets: list[Target],
+        edges: Sequence[int],
+        density: Warp | None,
+        watch: Stopwatch,
+        after_pass: Callable[[int], None] = lambda done: None,
+    ) -> None:
+        self._after_pass = after_pass
+        self._device, self._source, self._watch = device, source, watch
+        self._targets, self._density = targets, density
+        self._orders = [HostArray.of(device, target.allocation.chosen) for target in targets]
+        self.edges = edges
+
+    @property
+    def number(self) -> int:
+        """How many passes there are."""
+        return len(self.edges) - 1
+
+    def length(self, number: int) -> int:
+        """Samples a point of one pass."""
+        return int(self.edges[number + 1] - self.edges[number])
+
+    def up_to(self, samples: int) -> int:
+        """How many passes there are up to so many samples a point."""
+        return min(int(np.searchsorted(self.edges, samples)), self.number)
+
+    def run(
+        self,
+        label: str,
+        progress: bool = False,
+        enough: Callable[[int], bool] | None = None,
+        first: int = 0,
+        last: int | None = None,
+    ) -> int:
+        """Run passes from `first` to before `last`, or until `enough` of those done says so after one.
+
+        Returns the number of passes done, those before `first` counted.
+        """
+        last = self.number if last is None else min(last, self.number)
+        share = (self.edges[last] - self.edges[first]) / self.edges[-1]
+        total = round(share * sum(target.allocation.samples for target in self._targets))
+        # tqdm's disable=None draws on terminals only.
+        disable = None if progress else True
+        with tqdm(total=total, unit="sample", unit_scale=True, desc=label, disable=disable) as bar:
+            for number in range(first, last):
+                for target, order in zip(self._targets, self._orders, strict=True):
+                    self._run_one(target, order, number, bar)
+                self._after_pass(number + 1)
+                if enough is not None and enough(number + 1):
+                    return number + 1
+        return last
+
+    def _run_one(self, target: Target, order: HostArray, number: int, bar: tqdm) -> None:
+        accumulator, allocation, stream = target
+        drawn = np.zeros(len(allocation.counts))
+        most_points = self._density.most_points if self._density is not None else None
+        for run in allocation.part(*(int(self.edges[k]) for k in (number, number + 1, -1))):
+            drawn[run.points.start : run.points.stop] = len(run.samples)
+            for points, samples in self._source.parts(*run, most_points):
+                batch = self._source.draw(points, samples, stream, order, self._density)
+                with self._watch("estimate"):
+                    accumulator.add(batch, samples.start)
+                    self._device.queue.finish()
+            bar.update(len(run.points) * len(run.samples))
+        accumulator.finish_pass(drawn, allocation.chosen)

@@ -1,0 +1,49 @@
+"""Plain Monte Carlo that spends samples by what a pilot of them says of each point's variance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..host.clock import FIRST_SHARE, Clock
+from ..opencl.device import Device
+from ..points.sampler import Stream
+from ..sampling.accumulate import Accumulator, Estimate
+from ..sampling.samples import Batches
+from ..settings.settings import RenderSettings, Stopwatch
+from .allocate import Allocation, allocate
+from .passes import Passes, Target, short_pass_edges, shortest_pass
+
+# Samples a point that the points' variances are learned from, at most, and as a part of all.
+PILOT_SAMPLES = 64
+PILOT_SHARE = 1 / 4
+
+
+def pilot_samples(spp: int) -> int:
+    """Samples a point of the pilot of `spp` in all."""
+    return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
+
+
+def draw_pilot(
+    device: Device, source: Batches, settings: RenderSettings, watch: Stopwatch, clock: Clock
+) -> Estimate:
+    """Of f, from samples that the passes do not draw again; with a time limit fewer, if it is short."""
+    points, samples = source.points, pilot_samples(settings.spp)
+    accumulator = Accumulator(device, points, settings.integrand.channels)
+    everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
+    targets = [Target(accumulator, everything, Stream.PILOT)]
+    edges = [0, samples]
+    if clock.limit is not None:
+        edges = short_pass_edges(samples, samples, shortest_pass(settings, points.active))
+    passes = Passes(device, source, targets, edges, None, watch)
+    passes.run("pilot", enough=lambda done: clock.over(FIRST_SHARE))
+    return accumulator.result()
+
+
+def allocate_by_pilot(pilot: Estimate, spp: int) -> Allocation:
+    """What is left of `spp` samples a point, by the deviations that `pilot` saw."""
+    samples = int(pilot.samples.max())
+    # What the pilot did not see may still be there: no point is left to much fewer samples.
+    fewest = 1 << (samples.bit_length() - 1)
+    # One sample says nothing of them: all alike.
+    deviation = np.sqrt(np.nan_to_num(pilot.variance.sum(axis=0)))
+    return Allocation.of_counts(allocate(deviation, max(1, spp - samples), fewest))

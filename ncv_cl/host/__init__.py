@@ -1,0 +1,1 @@
+"""What the machine gives beside OpenCL: caches, files, signals, terminals, clocks."""

@@ -1,0 +1,1 @@
+"""Exact integrals of networks over the unit square, by arrangements of lines."""

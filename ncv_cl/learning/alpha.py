@@ -1,0 +1,99 @@
+"""The control coefficient α: how much of the network each part of the image takes off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..network.network import FoldedNetwork
+from ..opencl.device import HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints
+from .train import TrainingSamples
+
+# A tile of the image has about so many training samples, whose points share one coefficient a channel.
+SAMPLES_A_TILE = 256
+# Samples that speak for a coefficient of 1, whatever was seen.
+PSEUDO_SAMPLES = 32
+# Below this the network is worth less than it costs, and counts as nothing.
+SMALLEST = 0.1
+# What is far above 1 was seen by chance.
+LARGEST = 2.0
+
+
+def can_scale(folded: FoldedNetwork) -> bool:
+    """Whether every point has an output layer of its own, which takes its coefficient."""
+    return {"W3", "B3"} <= set(folded.network.description.modulated)
+
+
+def control_coefficients(
+    folded: FoldedNetwork, samples: TrainingSamples, points: ShadingPoints, columns: int
+) -> np.ndarray:
+    """α for every point and channel, float32 (channels, points.active).
+
+    The variance of f − α g is least for α = Cov(f, g) / Var(g). Both are taken over the training samples
+    alone, since coefficients from the samples that estimate the residual would bias it, and pooled over
+    tiles of the image: a point has few training samples, or none.
+
+    Parameters
+    ----------
+    folded : FoldedNetwork
+    samples : TrainingSamples
+    points : ShadingPoints
+    columns : int
+        Sub-pixels of a row of the image.
+    """
+    covariance, variance = _column_moments(folded, samples)
+    cell = points.cell[: points.active].astype(np.int64)
+    side = _tile_side(len(cell), samples.count * samples.samples)
+    tiles_a_row = -(-columns // side)
+    tile = cell // columns // side * tiles_a_row + cell % columns // side
+    number = int(tile.max(initial=0)) + 1
+    own_tile = tile[samples.order.read()]
+    seen = np.bincount(own_tile, minlength=number) * float(samples.samples)
+    found = np.empty((len(variance), len(cell)), np.float32)
+    for channel, (product, square) in enumerate(zip(covariance, variance, strict=True)):
+        products = np.bincount(own_tile, product, number)
+        squares = np.bincount(own_tile, square, number)
+        best = np.where(squares > 0, products / np.maximum(squares, 1e-30), 1.0)
+        shrunk = 1.0 + (best - 1.0) * seen / (seen + PSEUDO_SAMPLES)
+        found[channel] = np.where(shrunk < SMALLEST, 0.0, np.minimum(shrunk, LARGEST))[tile]
+    return found
+
+
+def scale(folded: FoldedNetwork, alpha: np.ndarray) -> None:
+    """Make g of each point α g; points whose α is zero are skipped by integration and inference."""
+    program = build(folded.device, ("common", "mlp", "alpha"), folded.network.description.defines())
+    count = alpha.shape[1]
+    groups = folded.groups
+    program.kernel("scale_outputs")(
+        count, count, HostArray.of(folded.device, alpha), groups["W3"], groups["B3"]
+    )
+    folded.device.queue.finish()
+
+
+def _column_moments(folded: FoldedNetwork, samples: TrainingSamples) -> np.ndarray:
+    """float64 (2, channels, columns): sums of (f − f̄)(g − ḡ) and of (g − ḡ)²."""
+    device, description = folded.device, folded.network.description
+    program = build(device, ("common", "mlp", "alpha"), description.defines())
+    stride = samples.u.shape[1]
+    moments = HostArray(device, (2, description.channels, stride), np.float32)
+    program.kernel("column_moments")(
+        samples.count,
+        samples.count,
+        stride,
+        samples.samples,
+        samples.order,
+        samples.u,
+        samples.v,
+        samples.target,
+        *folded.arrays,
+        moments,
+    )
+    return moments.read()[..., : samples.count].astype(np.float64)
+
+
+def _tile_side(points: int, samples: int) -> int:
+    """Sub-pixels along a side of a tile that holds `SAMPLES_A_TILE` of `samples`."""
+    return max(1, math.ceil(math.sqrt(SAMPLES_A_TILE * points / max(samples, 1))))

@@ -1,0 +1,364 @@
+"""Where the residual is: a learned sampling density and magnitude for every shading point."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..host.clock import CHECKED_STEPS
+from ..host.files import array_of, read_arrays, real_number
+from ..network.encode import Encoder
+from ..network.network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
+from ..opencl.device import Device, HostArray
+from ..opencl.program import Program, build
+from ..points.points import ShadingPoints
+from ..points.sampler import HostStream, host_generator
+from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
+from .train import TrainingSamples
+
+# Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
+GROUPS = 16
+CELLS = DENSITY_BINS**2
+# A file's density leaves at least this much uniform, or weights have no bound.
+SMALLEST_UNIFORM_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class DensitySettings:
+    """The network that predicts the residual's magnitude, and its schedule.
+
+    Attributes
+    ----------
+    hidden : int
+        Units of its one hidden layer; a multiple of 16.
+    columns : int
+        Training points a minibatch, about.
+    samples_a_step : int
+        Samples of each of them that one Adam step sees.
+    steps : int
+        Adam steps: what the predictor needs does not depend on how many samples there are.
+    most_epochs : int
+        How often each stored sample is used at most; where there are few, there are fewer steps.
+    rate, final_rate : float
+        Adam's step size at first and, after a cosine decay, at last.
+    beta1, beta2, epsilon : float
+        Adam's constants.
+    uniform_share : float
+        Part of every density that is uniform, so that nothing overlooked gets a large weight.
+    """
+
+    hidden: int = 32
+    columns: int = 128
+    samples_a_step: int = 16
+    steps: int = 640
+    most_epochs: int = 8
+    rate: float = 1e-2
+    final_rate: float = 1e-3
+    beta1: float = 0.9
+    beta2: float = 0.99
+    epsilon: float = 1e-8
+    uniform_share: float = 0.1
+
+    def parameter_count(self, features: int) -> int:
+        """Numbers of the network: hidden units, then a row and a bias for each cell."""
+        return (features + 1 + CELLS) * self.hidden + CELLS
+
+    def defines(self, description: NetworkDescription) -> dict[str, int | str]:
+        """The `-D` constants of density.cl but those of fitting."""
+        count = self.parameter_count(description.encoding.feature_count)
+        return {
+            **description.defines(),
+            "FITTING": 0,
+            **warp_defines(),
+            "DENSITY_HIDDEN": self.hidden,
+            "DENSITY_PARAMETERS": f"{count}u",
+            "UNIFORM_SHARE": f"{self.uniform_share!r}f",
+        }
+
+
+@dataclass(frozen=True)
+class DensityNetwork:
+    """A trained predictor of the residual's magnitude.
+
+    Attributes
+    ----------
+    parameters : ndarray
+        float32, as density.cl lays them out.
+    feature_mean, feature_scale : ndarray
+        float32 (features,): features enter as (feature - mean) * scale.
+    unit : float
+        What its output is multiplied by: the root mean square of the residuals it has seen.
+    settings : DensitySettings
+    """
+
+    parameters: np.ndarray
+    feature_mean: np.ndarray
+    feature_scale: np.ndarray
+    unit: float
+    settings: DensitySettings
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The numbers, as they are kept in a network's file."""
+        return {
+            "density_parameters": self.parameters,
+            "density_features": np.stack([self.feature_mean, self.feature_scale]),
+            "density_scalars": np.array(
+                [self.unit, self.settings.hidden, self.settings.uniform_share], np.float64
+            ),
+        }
+
+    @classmethod
+    def load(cls, path: str | Path) -> DensityNetwork | None:
+        """What `arrays` put into a network's file; None where there is none.
+
+        Raises
+        ------
+        NetworkError
+            If the arrays do not fit each other.
+        """
+        try:
+            arrays = read_arrays(path)
+            return cls.of_arrays(arrays, Network.of_arrays(arrays).description)
+        except ValueError as error:
+            raise NetworkError(f"{path} is not a network saved by ncv_cl: {error}") from error
+
+    @classmethod
+    def of_arrays(
+        cls, arrays: Mapping[str, np.ndarray], description: NetworkDescription
+    ) -> DensityNetwork | None:
+        """What `arrays` put beside a network of this description; None where there is none.
+
+        Raises
+        ------
+        ValueError
+            Naming what is missing, of another type or shape, or out of range.
+        """
+        if not any(name.startswith("density_") for name in arrays):
+            return None
+        unit, hidden, uniform_share = array_of(arrays, "density_scalars", np.float64, (3,)).tolist()
+        real_number("the density's unit", unit, 0.0, float(np.finfo(np.float32).max))
+        real_number("the density's uniform share", uniform_share, SMALLEST_UNIFORM_SHARE, 1.0)
+        if hidden not in range(16, 513, 16):
+            raise ValueError(f"the density's hidden units must be 16, 32, ... 512, are {hidden}")
+        settings = DensitySettings(hidden=int(hidden), uniform_share=uniform_share)
+        features = description.encoding.feature_count
+        count = settings.parameter_count(features)
+        parameters = array_of(arrays, "density_parameters", np.float32, (count,))
+        scales = array_of(arrays, "density_features", np.float32, (2, features))
+        return cls(parameters, *scales, unit, settings)
+
+
+@dataclass(frozen=True)
+class Density:
+    """Sampling densities of all active points.
+
+    Attributes
+    ----------
+    table : HostArray
+        uint32 (points, DENSITY_WORDS), as warp.cl reads it.
+    magnitude : ndarray
+        float64 (points,), the mean over the square of the residual's predicted root mean square, in the
+        integrand's units.
+    uniform_share : float
+        Part of every density that is uniform.
+    """
+
+    table: HostArray
+    magnitude: np.ndarray
+    uniform_share: float
+
+
+def tabulate(
+    device: Device,
+    density: DensityNetwork,
+    network: Network,
+    points: ShadingPoints,
+    unit: np.ndarray | None = None,
+) -> Density:
+    """The densities of all active points.
+
+    Parameters
+    ----------
+    network : Network
+        The control variate, whose features `density` takes.
+    unit : ndarray, optional
+        float32 (points.active,), each point's scale, as the trainer was given it.
+    """
+    program = build(device, ("common", "warp", "density"), density.settings.defines(network.description))
+    table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
+    magnitude = HostArray(device, points.active, np.float32)
+    entries = HostArray.of(device, network.table)
+    inputs = [
+        HostArray.of(device, array)
+        for array in (density.feature_mean, density.feature_scale, density.parameters)
+    ]
+    for first in range(0, points.active, POINTS_PER_FOLD):
+        count = min(POINTS_PER_FOLD, points.active - first)
+        order = HostArray.of(device, np.arange(first, first + count, dtype=np.uint32))
+        encoder = Encoder(device, network.description.encoding, points, network.cube, order)
+        encoder.encode_grid(entries)
+        program.kernel("density_tables")(
+            -(-count // device.vector_width),
+            count,
+            encoder.stride,
+            first,
+            encoder.features,
+            *inputs,
+            magnitude,
+            table,
+        )
+    scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
+    magnitudes = magnitude.read().astype(np.float64) * scale
+    return Density(table, magnitudes, density.settings.uniform_share)
+
+
+class DensityTrainer:
+    """Learns the magnitude of f - g over (u, v) and phi from the control variate's own training samples.
+
+    Parameters
+    ----------
+    device
+    network : FoldedNetwork
+        The control variate.
+    samples : TrainingSamples
+    unit : ndarray, optional
+        float32 (points,), each point's scale, by which its residuals are divided; 1 by default.
+    settings : DensitySettings, optional
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        network: FoldedNetwork,
+        samples: TrainingSamples,
+        unit: np.ndarray | None = None,
+        settings: DensitySettings | None = None,
+    ) -> None:
+        self.device = device
+        self.settings = settings or DensitySettings()
+        self._network, self._samples = network, samples
+        features = samples.encoder.features.read()[:, : samples.count]
+        mean, deviation = features.mean(1, dtype=np.float64), features.std(1, dtype=np.float64)
+        scale = np.where(deviation > 0, 1 / np.maximum(deviation, 1e-30), 0.0)
+        self._mean, self._scale = (HostArray.of(device, a.astype(np.float32)) for a in (mean, scale))
+        self._program = self._build()
+        self._squared = self._squared_residuals(unit)
+        with self._squared.mapped() as squared:
+            self._mean_square = float(squared[:, : samples.count].mean(dtype=np.float64)) or 1.0
+        start = self._start(len(features))
+        self._parameters = HostArray.of(device, start)
+        self._moments = [HostArray.of(device, np.zeros_like(start)) for _ in range(2)]
+        self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
+
+    @property
+    def _step_samples(self) -> int:
+        return min(self.settings.samples_a_step, self._samples.samples)
+
+    def _build(self) -> Program:
+        settings = self.settings
+        defines = {
+            **settings.defines(self._network.network.description),
+            "FITTING": 1,
+            "DENSITY_SAMPLES": self._step_samples,
+            "ADAM_BETA1": f"{settings.beta1!r}f",
+            "ADAM_BETA2": f"{settings.beta2!r}f",
+            "ADAM_EPSILON": f"{settings.epsilon!r}f",
+        }
+        return build(self.device, ("common", "mlp", "density"), defines)
+
+    def _start(self, features: int) -> np.ndarray:
+        """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
+        hidden = self.settings.hidden
+        generator = host_generator(0, HostStream.DENSITY)
+        parameters = np.zeros(self.settings.parameter_count(features), np.float32)
+        units, rows = features * hidden, (features + 1) * hidden
+        parameters[:units] = generator.uniform(-1, 1, units) * math.sqrt(3 / features)
+        bound = 1 / math.sqrt(hidden)
+        parameters[rows : rows + CELLS * hidden] = generator.uniform(-bound, bound, CELLS * hidden)
+        return parameters
+
+    def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:
+        samples, device = self._samples, self.device
+        points = int(samples.order.read().max(initial=0)) + 1
+        unit = np.ones(points, np.float32) if unit is None else unit
+        squared = HostArray(device, samples.u.shape, np.float32)
+        squared.fill(0.0)
+        self._program.kernel("squared_residuals")(
+            samples.count * -(-samples.samples // device.vector_width),
+            samples.count,
+            samples.u.shape[1],
+            samples.samples,
+            samples.order,
+            samples.u,
+            samples.v,
+            samples.target,
+            HostArray.of(device, unit),
+            *self._network.arrays,
+            squared,
+        )
+        return squared
+
+    def fit(self, check: Callable[[], None] | None = None) -> DensityNetwork:
+        """Run the schedule over the stored samples; `check` is called now and then, and may raise."""
+        settings, samples = self.settings, self._samples
+        batches = max(1, round(samples.count / settings.columns))
+        edges = np.linspace(0, samples.count, batches + 1).astype(int)
+        starts = range(0, samples.samples - self._step_samples + 1, self._step_samples)
+        batches_and_samples = list(itertools.product(starts, itertools.pairwise(edges.tolist())))
+        total = min(settings.steps, settings.most_epochs * len(batches_and_samples))
+        steps = itertools.islice(itertools.cycle(batches_and_samples), total)
+        for number, (sample, (begin, end)) in enumerate(steps, 1):
+            self._step(sample, begin, end - begin, number, total)
+            if check is not None and number % CHECKED_STEPS == 0:
+                self.device.queue.finish()
+                check()
+        return DensityNetwork(
+            self._parameters.read(),
+            self._mean.read(),
+            self._scale.read(),
+            math.sqrt(self._mean_square),
+            settings,
+        )
+
+    def gradients(self, sample: int, first: int, count: int) -> int:
+        """Enqueue one step's gradients; returns how many rows of partial sums they are."""
+        samples, lanes = self._samples, self.device.lanes
+        groups = min(GROUPS, count)
+        self._program.kernel("density_gradients")(
+            groups * lanes,
+            sample,
+            first,
+            count,
+            samples.u.shape[1],
+            1.0 / self._mean_square,
+            samples.encoder.features,
+            self._mean,
+            self._scale,
+            samples.u,
+            samples.v,
+            self._squared,
+            self._parameters,
+            self._partial,
+            group=lanes,
+        )
+        return groups
+
+    def _step(self, sample: int, first: int, count: int, number: int, total: int) -> None:
+        settings = self.settings
+        groups = self.gradients(sample, first, count)
+        decay = 0.5 * (1.0 + math.cos(math.pi * number / total))
+        self._program.kernel("density_adam")(
+            -(-self._parameters.shape[0] // self.device.vector_width),
+            groups,
+            settings.final_rate + (settings.rate - settings.final_rate) * decay,
+            1.0 / (1.0 - settings.beta1**number),
+            1.0 / (1.0 - settings.beta2**number),
+            self._partial,
+            self._parameters,
+            *self._moments,
+        )

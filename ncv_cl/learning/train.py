@@ -1,0 +1,346 @@
+"""Training: minibatches of stored samples, fixed-order gradients, Adam and a moving average."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..host.clock import CHECKED_STEPS
+from ..network.encode import Encoder, GridIndex, TouchedTable
+from ..network.network import Network
+from ..network.padded import Averaged, PaddedLayout
+from ..opencl.device import Device, HostArray
+from ..opencl.program import Program, build
+from ..points.points import ShadingPoints
+from ..points.sampler import HostStream, host_generator
+from ..sampling.samples import Batch, ray_defines
+from ..settings.schedule import Schedule
+
+# Bytes of local memory that the gradient kernel may use; every GPU has this much.
+LOCAL_BYTES = 48 << 10
+# On CPUs local memory is cache, and small tiles share a step's columns among more threads.
+CPU_LOCAL_BYTES = 256 << 10
+CPU_MAX_TILE = 16
+MAX_TILE = 64
+# PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
+# first thread would get too many, were its first ones not empty.
+CPU_IDLE_GROUPS = 2
+# Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
+GROUPS = 64
+# What a step's rows of `plan` and `rates` hold.
+PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
+RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")
+
+
+def minibatches(count: int, columns: int) -> list[range]:
+    """`count` columns cut into runs of about `columns`, of whole tiles of CPUs but for the last.
+
+    A run that ended a column into a tile would keep one thread busy with it while the others wait.
+    """
+    width = min(CPU_MAX_TILE, columns)
+    tiles = -(-count // width)
+    edges = np.linspace(0, tiles, max(1, round(count / columns)) + 1).astype(int) * width
+    return [range(a, b) for a, b in itertools.pairwise(np.minimum(edges, count).tolist())]
+
+
+@dataclass(frozen=True)
+class TrainingSamples:
+    """What a `Trainer` keeps of its samples, one column a shading point.
+
+    Attributes
+    ----------
+    order : HostArray
+        uint32 (count,), the shading point of each column.
+    u, v, target : HostArray
+        float32 (samples, stride), (samples, stride) and (samples, channels, stride).
+    encoder : Encoder
+        Features of the same columns, those of the grid encoded from the trained table.
+    """
+
+    order: HostArray
+    u: HostArray
+    v: HostArray
+    target: HostArray
+    encoder: Encoder
+
+    @property
+    def count(self) -> int:
+        return self.order.shape[0]
+
+    @property
+    def samples(self) -> int:
+        return self.u.shape[0]
+
+
+class Trainer:
+    """Trains one network on samples of one image's shading points.
+
+    Parameters
+    ----------
+    device, network, points
+        The network to start from and the points of the image.
+    settings : Schedule
+    chosen : ndarray
+        uint32, the shading points that have training samples, in the order in which they are drawn.
+    samples : int
+        Samples that `store` will be given for each of them.
+    seed : int
+        Shuffles the points into minibatches.
+    factor : HostArray, optional
+        float32 (channels, points.active), what a demodulated network's output is multiplied by.
+    previous : Trainer, optional
+        Of the same description, on other samples: its parameters and their moments go on, `network`
+        itself is not looked at. The learning rate starts anew, as in stochastic gradient descent with
+        warm restarts (Loshchilov and Hutter 2017); the grid's moments do, since theirs are short.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        network: Network,
+        points: ShadingPoints,
+        settings: Schedule,
+        chosen: np.ndarray,
+        samples: int,
+        seed: int,
+        factor: HostArray | None = None,
+        previous: Trainer | None = None,
+    ) -> None:
+        self.device = device
+        self.settings = settings
+        self.samples = samples
+        self._start = network
+        # Adam's steps so far, and those before this trainer's schedule.
+        self._steps = self._begun = previous._steps if previous else 0
+        self._scale = previous._scale if previous else 1.0
+        description = network.description
+        count = len(chosen)
+        generator = host_generator(seed, HostStream.MINIBATCHES)
+        shuffled = generator.permutation(count).astype(np.uint32)
+        position = np.empty_like(shuffled)
+        position[shuffled] = np.arange(count, dtype=np.uint32)
+        self._position = HostArray.of(device, position)
+        order = chosen[shuffled]
+        self._order = HostArray.of(device, order)
+        self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
+        self._batches = minibatches(count, settings.batch)
+        self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
+
+        self._layout = PaddedLayout(description, device.vector_width)
+        if previous is not None:
+            self._parameters, table = previous._parameters, previous._table.read()
+        else:
+            self._parameters = Averaged(device, self._layout.pack(network.parameters))
+            table = network.table
+        moments = 2 * description.encoding.grid_features if settings.table_adam else 2
+        self._table = TouchedTable(device, table, self._index.touched, moments)
+        self._program = self._build()
+        self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
+        tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
+        self._gradient_items = [(n + self._idle_groups) * device.lanes for n in tiles]
+        blocks = self._layout.size // device.vector_width
+        self._adam_items = [
+            blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
+        ]
+        self._partial = HostArray(device, (GROUPS, self._layout.size), np.float32)
+        self._partial.fill(0.0)
+        self._loss = HostArray(device, 1, np.float32)
+        stride, channels = self._encoder.stride, description.channels
+        largest = max(map(len, self._batches))
+        self._grid_gradient = HostArray(device, (largest, description.encoding.grid_rows), np.float32)
+        self._u = HostArray(device, (samples, stride), np.float32)
+        self._v = HostArray(device, (samples, stride), np.float32)
+        self._target = HostArray(device, (samples, channels, stride), np.float32)
+        self._factor = HostArray(device, (channels, stride), np.float32)
+        self._weight = HostArray(device, (channels, stride), np.float32)
+        self._set_factors(None if factor is None else factor.read()[:, order])
+        if previous is not None and factor is None:
+            self._set_factors(np.full((channels, count), self._scale, np.float32))
+
+    def _set_factors(self, factor: np.ndarray | None) -> None:
+        """Factors by column, and from them the weights; without factors one for all comes with `fit`."""
+        count, power = self._encoder.count, self.settings.weight_power
+        self._has_factors = factor is not None
+        if factor is None:
+            return
+        mean = float(factor.mean(dtype=np.float64)) or 1.0
+        for array, values in ((self._factor, factor), (self._weight, (factor / mean) ** power)):
+            with array.mapped(write=True) as view:
+                view[:, :count], view[:, count:] = values, 0.0
+
+    def store(self, batch: Batch, first_sample: int) -> None:
+        """Keep a batch's samples as number `first_sample` and on of their points."""
+        self._program.kernel("store_samples")(
+            len(batch.points) * batch.stride // self.device.vector_width,
+            batch.points.start,
+            len(batch.points),
+            batch.samples,
+            batch.stride,
+            self._encoder.stride,
+            first_sample,
+            self._position,
+            batch.u,
+            batch.v,
+            batch.value,
+            batch.slot,
+            batch.visible,
+            self._u,
+            self._v,
+            self._target,
+        )
+
+    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
+        """All epochs over the stored samples, as one of `rounds` such calls; returns the mean loss.
+
+        The loss is the mean over the last pass's steps at the end of each stored sample. `check` is
+        called now and then, and may raise.
+        """
+        if not self._has_factors:
+            self._set_common_factor()
+        settings = self.settings
+        step = min(settings.samples_a_step, self.samples)
+        starts = range(0, self.samples - step + 1, step)
+        numbers = range(len(self._batches))
+        order = [(sample, n) for _ in range(settings.epochs) for sample in starts for n in numbers]
+        self._bind(*self._plan(order, rounds * len(order)))
+        losses = []
+        for number, (_, batch) in enumerate(order):
+            self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
+            self._adam.repeat(number, self._adam_items[batch])
+            if check is not None and number % CHECKED_STEPS == 0:
+                self.device.queue.finish()
+                check()
+            if batch == numbers[-1] and number >= len(order) - len(starts) * len(numbers):
+                losses.append(float(self._loss.read()[0]))
+        self._steps += len(order)
+        return float(np.mean(losses))
+
+    def network(self) -> Network:
+        """The network with the moving averages of its parameters, in the integrand's own units."""
+        description = self._start.description
+        parameters = self._layout.unpack(self._parameters.average.read())
+        if not description.demodulated:
+            rows, shapes = description.group_rows, description.group_shapes
+            _, heads, bases = description.unpack(parameters)
+            for group in ("W3", "B3"):
+                first = rows[group]
+                part = slice(first, first + math.prod(shapes[group]))
+                if group in description.modulated:
+                    heads[part] *= self._scale
+                else:
+                    bases[part.start - len(heads) : part.stop - len(heads)] *= self._scale
+        return Network(description, parameters, self._table.read(), self._start.cube)
+
+    def samples_of(self, network: Network) -> TrainingSamples:
+        """The samples stored last, with features as `network`, a result of this training, sees them."""
+        self._encoder.encode_grid(HostArray.of(self.device, network.table))
+        return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
+
+    def _set_common_factor(self) -> None:
+        """The integrand's mean size for all: rates and losses do not depend on the scene's units."""
+        count = self._encoder.count
+        with self._target.mapped() as target:
+            mean = float(np.mean(np.abs(target[:, :, :count]), dtype=np.float64))
+        self._scale = mean if mean > 0.0 else 1.0
+        channels = self._start.description.channels
+        self._set_factors(np.full((channels, count), self._scale, np.float32))
+
+    def _plan(self, order: list[tuple[int, int]], total: int) -> tuple[HostArray, HostArray]:
+        """What differs between steps of `order` (first sample, minibatch), as the kernels read it."""
+        settings = self.settings
+        plan = np.zeros((len(order), len(PLAN)), np.uint32)
+        sample, batch = np.array(order).T
+        columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
+        entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
+        groups = np.minimum(GROUPS, -(-columns[:, 1] // self._tile))
+        for word, values in enumerate((sample, *columns.T, groups, *entries.T)):
+            plan[:, word] = values
+        step = self._steps + 1.0 + np.arange(len(order))
+        decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum((step - self._begun) / total, 1.0)))
+        rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
+        rates = (
+            rate,
+            rate * settings.table_rate,
+            1.0 / (1.0 - settings.beta1**step),
+            1.0 / (1.0 - settings.beta2**step),
+            # A short memory at first, or the average would remember the random start.
+            np.minimum(settings.average_decay, (1 + step) / (10 + step)),
+        )
+        device = self.device
+        return HostArray.of(device, plan), HostArray.of(device, np.stack(rates, 1).astype(np.float32))
+
+    def _bind(self, plan: HostArray, rates: HostArray) -> None:
+        """Set the arguments of a step's two kernels."""
+        encoder, index, parameters = self._encoder, self._index, self._parameters
+        self._gradients.bind(
+            plan,
+            encoder.stride,
+            encoder.features,
+            encoder.unit,
+            index.corner,
+            self._table.state,
+            self._u,
+            self._v,
+            self._target,
+            self._factor,
+            self._weight,
+            parameters.value,
+            self._grid_gradient,
+            self._partial,
+        )
+        self._adam.bind(
+            plan,
+            rates,
+            self._partial,
+            *parameters.arrays,
+            self._loss,
+            *index.arrays,
+            self._grid_gradient,
+            self._table.state,
+        )
+        # The kernels do not keep the arrays alive.
+        self._bound = plan, rates
+
+    def _build(self) -> Program:
+        description, settings, device = self._start.description, self.settings, self.device
+        features, layout = description.encoding.feature_count, self._layout
+        vec = device.vector_width
+        rows = description.head_rows + description.base_rows
+        hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
+        floats_a_column = features + layout.feature_floats + 2 * rows + hidden + 1
+        available = device.cl_device.local_mem_size
+        budget = min(CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES, available)
+        largest = CPU_MAX_TILE if device.lanes == 1 else MAX_TILE
+        self._tile = vec
+        while 8 * self._tile * floats_a_column <= budget and self._tile < largest:
+            self._tile *= 2
+        if 4 * self._tile * floats_a_column > available:
+            raise MemoryError(
+                f"training hidden layers of {description.hidden} needs "
+                f"{4 * self._tile * floats_a_column} bytes of local memory, but {device.name} has "
+                f"{available}: use a narrower network or fewer modulated groups"
+            )
+        self._idle_groups = CPU_IDLE_GROUPS if device.is_cpu else 0
+        defines = {
+            **description.defines(),
+            **layout.defines(),
+            **{f"PLAN_{name}": word for word, name in enumerate(PLAN)},
+            **{f"RATE_{name}": word for word, name in enumerate(RATES)},
+            "PLAN_WORDS": len(PLAN),
+            "RATE_FLOATS": len(RATES),
+            "TILE": self._tile,
+            "IDLE_GROUPS": f"{self._idle_groups}u",
+            "ENTRY_FLOATS": f"{self._table.entry_floats}u",
+            "SAMPLES_A_STEP": min(settings.samples_a_step, self.samples),
+            "ADAM_BETA1": f"{settings.beta1!r}f",
+            "ADAM_BETA2": f"{settings.beta2!r}f",
+            "TABLE_BETA2": f"{settings.table_beta2!r}f",
+            "TABLE_ADAM": int(settings.table_adam),
+            "ADAM_EPSILON": f"{settings.epsilon!r}f",
+            **ray_defines(),
+        }
+        return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)

@@ -1,0 +1,1 @@
+"""The network: its inputs encoded, its parameters, and its weights at each point."""

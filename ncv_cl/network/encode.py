@@ -1,0 +1,316 @@
+"""φ → features: which inputs vary in a scene, and their encoding on the device."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..host.files import some_of, whole_number
+from ..opencl.device import Device, HostArray
+from ..opencl.program import Program, build
+from ..points.points import ShadingPoints, surface_defines
+
+# Shading points that extend over less than this part of the scene have a grid of their own; the part of
+# them that may lie outside it, to each side.
+SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
+# Components that each input has before its encoding, in feature order.
+INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
+# What the kernels can hold: vectors of so many features, indices of 32 bits.
+ENTRY_FEATURES = (1, 2, 4, 8, 16)
+MOST_CELLS = 1 << 30
+MOST_TABLE_FLOATS = 1 << 28
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How φ becomes the network's features; defaults follow the slides' table.
+
+    Attributes
+    ----------
+    inputs : tuple of str
+        Which of `INPUTS` are fed. Position is always among them.
+    grid_levels, grid_features, grid_base, grid_entries : int
+        The hash grid over position: levels, features a level, cells an axis of the coarsest level
+        (each next one has twice as many), table entries a level.
+    blob_bins : int
+        Gaussians a one-blob angle is encoded in.
+    """
+
+    inputs: tuple[str, ...]
+    grid_levels: int = 4
+    grid_features: int = 2
+    grid_base: int = 8
+    grid_entries: int = 1 << 15
+    blob_bins: int = 4
+
+    def __post_init__(self) -> None:
+        # Whatever a file says ends up in kernels' constants.
+        some_of("inputs", self.inputs, INPUTS)
+        if "position" not in self.inputs:
+            raise ValueError(f"inputs must hold position, are {self.inputs!r}")
+        for name, most in (("levels", 32), ("base", MOST_CELLS), ("entries", 1 << 24)):
+            whole_number(f"grid_{name}", getattr(self, f"grid_{name}"), 1, most)
+        if self.grid_features not in ENTRY_FEATURES:
+            raise ValueError(f"grid_features must be of {ENTRY_FEATURES}, is {self.grid_features!r}")
+        if self.grid_base << (self.grid_levels - 1) > MOST_CELLS:
+            raise ValueError(
+                f"the finest of grid_levels {self.grid_levels} over grid_base {self.grid_base} has more "
+                f"than {MOST_CELLS} cells an axis"
+            )
+        if self.grid_entries * self.grid_rows > MOST_TABLE_FLOATS:
+            raise ValueError(f"the hash grid's table would hold more than {MOST_TABLE_FLOATS} numbers")
+        whole_number("blob_bins", self.blob_bins, 1, 64)
+
+    @property
+    def grid_rows(self) -> int:
+        return self.grid_levels * self.grid_features
+
+    @property
+    def feature_count(self) -> int:
+        widths = {
+            "normal": 2 * self.blob_bins,
+            "outgoing": 2 * self.blob_bins,
+            "albedo": 3,
+            "roughness": 1,
+        }
+        return self.grid_rows + sum(widths[name] for name in self.inputs if name != "position")
+
+    @property
+    def table_shape(self) -> tuple[int, int]:
+        return self.grid_levels * self.grid_entries, self.grid_features
+
+    def defines(self) -> dict[str, int | str]:
+        """The `-D` constants of encode.cl."""
+        return {
+            **surface_defines(),
+            "FEATURES": self.feature_count,
+            "GRID_LEVELS": self.grid_levels,
+            "GRID_FEATURES": self.grid_features,
+            "GRID_BASE": self.grid_base,
+            "GRID_ENTRIES": f"{self.grid_entries}u",
+            "BLOB_BINS": self.blob_bins,
+            **{f"USE_{name.upper()}": int(name in self.inputs) for name in INPUTS[1:]},
+        }
+
+
+def varying_inputs(points: ShadingPoints, candidates: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of `candidates` that differ between active shading points; position always does.
+
+    An input that is the same at every point tells the network nothing.
+    """
+    has_specular = bool(np.any(points.rows("reflectance")[:, : points.active] > 0))
+    chosen = []
+    for name in INPUTS:
+        if name not in candidates or (name in ("outgoing", "roughness") and not has_specular):
+            continue
+        rows = points.rows(name)[:, : points.active]
+        if name == "position" or np.any(np.ptp(rows, axis=1) > 0 if rows.size else False):
+            chosen.append(name)
+    return tuple(chosen)
+
+
+@dataclass(frozen=True)
+class GridCube:
+    """The cube that the hash grid divides: its lower corner and side, world space."""
+
+    lower: tuple[float, float, float]
+    side: float
+
+    @classmethod
+    def around(cls, bounds: np.ndarray) -> GridCube:
+        """The smallest such cube around `bounds`, float (2, 3)."""
+        side = float(np.max(bounds[1] - bounds[0])) or 1.0
+        lower = 0.5 * (bounds[0] + bounds[1]) - 0.5 * side
+        return cls((float(lower[0]), float(lower[1]), float(lower[2])), side)
+
+    @classmethod
+    def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
+        """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
+
+        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
+        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        """
+        whole = cls.around(bounds)
+        if not points.active:
+            return whole
+        positions = points.rows("position")[:, : points.active].astype(np.float64)
+        most = np.quantile(positions, [OUTLIERS, 1 - OUTLIERS], axis=1) + points.origin
+        seen = cls.around(most)
+        return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
+
+    def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
+        """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
+        x, y, z = np.asarray(self.lower) - origin
+        return float(x), float(y), float(z), 1.0 / self.side
+
+
+class Encoder:
+    """Encodes shading points, column after column in a given order, into feature rows.
+
+    Parameters
+    ----------
+    device, encoding, points, cube
+    order : HostArray
+        uint32 (columns,), the shading point of each column.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        encoding: Encoding,
+        points: ShadingPoints,
+        cube: GridCube,
+        order: HostArray,
+    ) -> None:
+        self._program: Program = build(device, ("common", "surface", "encode"), encoding.defines())
+        self.count = order.shape[0]
+        # Whole vectors can be loaded at the end of each row.
+        self.stride = -(-self.count // device.vector_width) * device.vector_width
+        self.features = HostArray(device, (encoding.feature_count, self.stride), np.float32)
+        self._unit = HostArray(device, (3, self.stride), np.float32)
+        self._items = self.stride // device.vector_width
+        self._corners = (encoding.grid_levels * 8, self.stride)
+        self._program.kernel("encode_fixed")(
+            self._items,
+            self.count,
+            self.stride,
+            points.total,
+            *cube.about(points.origin),
+            order,
+            points.surface,
+            self._unit,
+            self.features,
+        )
+
+    @property
+    def unit(self) -> HostArray:
+        """float32 (3, stride), the columns' positions relative to the cube."""
+        return self._unit
+
+    def encode_grid(self, table: HostArray) -> None:
+        """Refresh the grid's feature rows from `table`."""
+        self._program.kernel("encode_grid")(
+            self._items, self.count, self.stride, self._unit, table, self.features
+        )
+
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Table entry and trilinear weight of every corner of every level, each (levels * 8, count)."""
+        device = self.features.device
+        corner = HostArray(device, self._corners, np.uint32)
+        weight = HostArray(device, self._corners, np.float32)
+        self._program.kernel("grid_corners")(
+            self._items, self.count, self.stride, self._unit, corner, weight
+        )
+        return corner.read()[:, : self.count], weight.read()[:, : self.count]
+
+
+class TouchedTable:
+    """The hash grid's touched entries with what training keeps beside their values (adam.cl).
+
+    Parameters
+    ----------
+    device
+    start : ndarray
+        float32 (entries, features), the whole table's values.
+    touched : ndarray
+        The entries that are kept.
+    moments : int
+        Floats beside the values of each.
+    """
+
+    def __init__(self, device: Device, start: np.ndarray, touched: np.ndarray, moments: int) -> None:
+        self._start, self._touched = start, touched
+        self._features = start.shape[1]
+        # A power of two: no entry lies across two cache lines.
+        self.entry_floats = 1 << (self._features + moments - 1).bit_length()
+        self.state = HostArray(device, (len(touched), self.entry_floats), np.float32)
+        with self.state.mapped(write=True) as state:
+            state[:, : self._features] = start[touched]
+            state[:, self._features :] = 0.0
+
+    def read(self) -> np.ndarray:
+        """The whole table, untouched entries as they were."""
+        table = self._start.copy()
+        with self.state.mapped() as state:
+            table[self._touched] = state[:, : self._features]
+        return table
+
+
+class GridIndex:
+    """Which columns touch which table entry, for each minibatch: the hash grid's gather lists.
+
+    Attributes
+    ----------
+    touched : ndarray
+        The table entries that any column touches, in increasing order; the index counts only these.
+    corner : HostArray
+        uint32 (columns, levels * 8), the entries around each column.
+    batches : list of range
+        For each minibatch, its items in `entries` and `starts`.
+    arrays : tuple of HostArray
+        entries, starts, places and weights as adam.cl reads them.
+    """
+
+    def __init__(
+        self, device: Device, encoder: Encoder, encoding: Encoding, batches: list[range]
+    ) -> None:
+        corner, weight = encoder.corners()
+        is_touched = np.zeros(encoding.table_shape[0], bool)
+        is_touched[corner.ravel()] = True
+        self.touched = np.flatnonzero(is_touched)
+        number = np.cumsum(is_touched, dtype=np.uint32) - np.uint32(1)
+        corner = number[corner]
+        self.corner = HostArray.of(device, np.ascontiguousarray(corner.T))
+        parts: list[list[np.ndarray]] = [[], [], [], []]
+        self.batches = []
+        entries = pairs = 0
+        # Batch by batch, so that what is sorted and gathered stays in the cache.
+        for batch in batches:
+            own = slice(batch.start, batch.stop)
+            entry, starts, number = _by_entry(corner[:, own])
+            place = _places(encoding, len(batch))[number]
+            found = entry, starts + np.uint32(pairs), place, weight[:, own].ravel()[number]
+            for part, array in zip(parts, found, strict=True):
+                part.append(array)
+            self.batches.append(range(entries, entries + len(entry)))
+            entries += len(entry)
+            pairs += len(number)
+        parts[1].append(np.array([pairs], np.uint32))
+        self.arrays = tuple(HostArray.of(device, np.concatenate(part)) for part in parts)
+
+
+def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pairs of corner and column, in the order of their entries.
+
+    Parameters
+    ----------
+    corner : ndarray
+        uint32 (levels * 8, columns), the entries.
+
+    Returns
+    -------
+    entry, starts, number : ndarray
+        Each entry once (uint32), where its pairs begin (uint32), and every pair's number in `corner`.
+    """
+    # Entry and number in one word, a short one if they fit: sorting plain words is many times faster
+    # than finding an order.
+    bits = (corner.size - 1).bit_length()
+    word = np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
+    keys = corner.astype(word).ravel()
+    keys <<= word(bits)
+    keys |= np.arange(keys.size, dtype=word)
+    keys.sort()
+    entry = keys >> word(bits)
+    starts = np.flatnonzero(np.append(True, entry[1:] != entry[:-1]))
+    number = (keys & word((1 << bits) - 1)).astype(np.intp)
+    return entry[starts].astype(np.uint32), starts.astype(np.uint32), number
+
+
+@functools.lru_cache(maxsize=4)
+def _places(encoding: Encoding, columns: int) -> np.ndarray:
+    """Where the gradient of each pair's feature row stands, uint32 (levels * 8 * columns,)."""
+    row, column = np.divmod(np.arange(encoding.grid_levels * 8 * columns, dtype=np.uint32), columns)
+    places = column * encoding.grid_rows + row // 8 * encoding.grid_features
+    return places.astype(np.uint32)

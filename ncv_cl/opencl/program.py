@@ -1,0 +1,196 @@
+"""Assemble the kernel texts, specialise them by `-D` constants, build once, keep the kernels."""
+
+from __future__ import annotations
+
+import functools
+import threading
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from .device import GROUP_SIZE, Device, HostArray
+
+_SCALAR_TYPES = {
+    "char": np.int8,
+    "uchar": np.uint8,
+    "int": np.int32,
+    "uint": np.uint32,
+    "long": np.int64,
+    "ulong": np.uint64,
+    "float": np.float32,
+    "double": np.float64,
+}
+
+
+def kernel_folder() -> Path:
+    """Where the `.cl` files lie: inside the installed package, or at the top of a checkout."""
+    package = Path(__file__).parent.parent
+    installed = package / "cl"
+    return installed if installed.is_dir() else package.parent / "cl"
+
+
+def kernel_files() -> dict[str, Path]:
+    """The `.cl` files by their base names, which are unique."""
+    return {path.stem: path for path in sorted(kernel_folder().rglob("*.cl"))}
+
+
+@functools.cache
+def source(files: tuple[str, ...]) -> str:
+    """The joined text of `files` (base names without suffix), each under its own ``#line``.
+
+    The texts are joined here, and not by ``#include``, because NVIDIA's program cache misses edits of
+    included headers.
+    """
+    parts, paths = [], kernel_files()
+    for name in files:
+        text = paths[name].read_text(encoding="utf-8")
+        parts.append(f'#line 1 "{name}.cl"\n{text}')
+    return "\n".join(parts)
+
+
+def device_defines(device: Device) -> dict[str, int]:
+    """The `-D` constants that every program takes from its device."""
+    return {
+        "VEC": device.vector_width,
+        "LANES": device.lanes,
+        "USE_FMA": int(device.use_fma),
+    }
+
+
+def option_list(defines: Mapping[str, int | str]) -> list[str]:
+    """Compiler options for a set of defines, in a fixed order (the driver's cache keys on them)."""
+    return ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
+
+
+class Kernel:
+    """A kernel with its scalar argument types, taken from its own signature.
+
+    Threads may share one: OpenCL kernels hold their arguments, so a call sets them and enqueues under a
+    lock. `bind` and `repeat` are two calls, for a kernel that nobody else has (`Program.own_kernel`).
+    """
+
+    def __init__(self, device: Device, kernel: cl.Kernel) -> None:
+        self.device = device
+        self.name = kernel.function_name
+        info = cl.kernel_arg_info
+        self._argument_names = []
+        types: list[type | None] = []
+        for position in range(kernel.num_args):
+            type_name = kernel.get_arg_info(position, info.TYPE_NAME).strip("\0 ")
+            self._argument_names.append(kernel.get_arg_info(position, info.NAME).strip("\0 "))
+            types.append(None if type_name.endswith("*") else _SCALAR_TYPES[type_name])
+        kernel.set_scalar_arg_dtypes(types)
+        self._kernel = kernel
+        self._lock = threading.Lock()
+
+    def __call__(
+        self,
+        work_items: int | tuple[int, ...],
+        *arguments: Any,
+        group: int | tuple[int, ...] = GROUP_SIZE,
+    ) -> cl.Event | None:
+        """Enqueue over at least `work_items`, rounded up to whole groups (kernels guard the tail)."""
+        if len(arguments) != len(self._argument_names):
+            expected = ", ".join(self._argument_names)
+            raise TypeError(f"{self.name} takes ({expected}), got {len(arguments)} arguments")
+        sizes = (work_items,) if isinstance(work_items, int) else work_items
+        groups = (group,) if isinstance(group, int) else group
+        rounded = tuple(-(-size // one) * one for size, one in zip(sizes, groups, strict=True))
+        if 0 in rounded:
+            return None
+        plain = [a.buffer if isinstance(a, HostArray) else a for a in arguments]
+        with self._lock:
+            return self._kernel(self.device.queue, rounded, groups, *plain)
+
+    def bind(self, *arguments: Any) -> None:
+        """Set all arguments, for `repeat`."""
+        self._kernel.set_args(*(a.buffer if isinstance(a, HostArray) else a for a in arguments))
+
+    def repeat(self, number: int, work_items: int, group: int = GROUP_SIZE) -> None:
+        """Enqueue with the arguments that `bind` set: for kernels that run for microseconds only.
+
+        All that differs is `number`, in which the kernel can look up the rest: it is what
+        ``get_global_offset(0) / get_local_size(0)`` yields.
+        """
+        rounded = -(-work_items // group) * group
+        cl.enqueue_nd_range_kernel(
+            self.device.queue, self._kernel, (rounded,), (group,), (number * group,)
+        )
+
+
+class Program:
+    """A built program; `kernel(name)` returns the same retained `Kernel` every time."""
+
+    def __init__(self, device: Device, files: tuple[str, ...], defines: Mapping[str, int | str]) -> None:
+        self.device = device
+        self.files = files
+        self.defines = {**device_defines(device), **defines}
+        options = option_list(self.defines)
+        # PoCL contracts a * b + c only when told; where `fma` is fast the sources call it by name.
+        if not device.use_fma:
+            options.append("-cl-mad-enable")
+        options.append("-cl-kernel-arg-info")
+        try:
+            self._program = _built(device, source(files), options)
+        except cl.RuntimeError as error:
+            raise RuntimeError(
+                f"building {' + '.join(files)} failed on {device.name} with {self.defines}:\n{error}"
+            ) from error
+        self._kernels: dict[str, Kernel] = {}
+
+    def kernel(self, name: str) -> Kernel:
+        # Two threads may both make one; setdefault has them go on with the same.
+        return self._kernels.get(name) or self._kernels.setdefault(name, self.own_kernel(name))
+
+    def own_kernel(self, name: str) -> Kernel:
+        """A kernel that nobody else has, for arguments that are to stay."""
+        return Kernel(self.device, cl.Kernel(self._program, name))
+
+
+def _built(device: Device, text: str, options: list[str]) -> cl.Program:
+    """The program with what its kernels say of their arguments.
+
+    Binaries that pyopencl keeps have lost that on Intel's runtime, where the text is compiled once more.
+    """
+    with warnings.catch_warnings():
+        # Intel's compiler reports every build, also those without anything to warn of.
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        program = _compiled(device, text, options)
+        try:
+            program.all_kernels()[0].get_arg_info(0, cl.kernel_arg_info.NAME)
+        except cl.RuntimeError as error:
+            if error.code != cl.status_code.KERNEL_ARG_INFO_NOT_AVAILABLE:
+                raise
+            program = cl.Program(device.context, text).build(options, cache_dir=False)
+    return program
+
+
+def _compiled(device: Device, text: str, options: list[str]) -> cl.Program:
+    """The program, at a second try if need be.
+
+    When a signal comes, LLVM deletes the temporary files of the compilation under way, which then fails.
+    """
+    try:
+        return cl.Program(device.context, text).build(options)
+    except cl.RuntimeError:
+        return cl.Program(device.context, text).build(options)
+
+
+_programs: dict[tuple[Any, ...], Program] = {}
+_lock = threading.Lock()
+
+
+def build(
+    device: Device, files: tuple[str, ...], defines: Mapping[str, int | str] | None = None
+) -> Program:
+    """Build (or return the retained) program of `files` for `device` with these `-D` constants."""
+    defines = dict(defines or {})
+    key = (device, files, tuple(sorted(defines.items())))
+    with _lock:
+        if key not in _programs:
+            _programs[key] = Program(device, files, defines)
+        return _programs[key]

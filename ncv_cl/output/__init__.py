@@ -1,0 +1,1 @@
+"""What a render leaves: pixels and layers, statistics, image files, checkpoints."""

@@ -1,0 +1,227 @@
+"""What a render has so far, in a file: to go on after an interruption as if there had been none."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from ..estimation.auto import Prediction
+from ..host.files import (
+    ANY,
+    array_of,
+    json_of,
+    read_arrays,
+    real_number,
+    record_of,
+    whole_number,
+    write_whole,
+)
+from ..learning.density import DensityNetwork
+from ..network.network import Network
+from ..sampling.accumulate import Estimate
+from ..sampling.guide import CELLS, Guide
+from ..sampling.warp import DENSITY_WORDS
+
+# What of a checkpoint is kept as JSON.
+ABOUT = ("identity", "method", "edges", "prediction")
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be gone on from: broken, or of another render."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A render between two passes.
+
+    Attributes
+    ----------
+    identity : dict
+        All that decides the image's bits, by name.
+    method : {"mc", "ncv"}
+        What was chosen.
+    edges : list of int
+        Where the passes done began and ended, in samples a point on average: 0, ...
+    states : list of (ndarray, ndarray)
+        Each accumulator's state and its points' numbers of samples.
+    before : Estimate, optional
+        Of what was sampled before the passes.
+    network, density : optional
+        The control variate and its density.
+    prediction : dict, optional
+        Of method "auto".
+    alpha : ndarray, optional
+        The control variate's coefficients.
+    parts : list of ndarray
+        As `ImageEstimate` keeps them.
+    guide : Guide, optional
+        What guides paths.
+    """
+
+    identity: dict[str, object]
+    method: str
+    edges: list[int]
+    states: list[tuple[np.ndarray, np.ndarray]]
+    before: Estimate | None
+    network: Network | None
+    density: DensityNetwork | None
+    prediction: dict[str, object] | None
+    alpha: np.ndarray | None
+    parts: list[np.ndarray]
+    guide: Guide | None
+
+    @property
+    def passes(self) -> int:
+        """Passes done."""
+        return len(self.edges) - 1
+
+    def save(self, path: str | Path) -> None:
+        """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
+        arrays: dict[str, np.ndarray] = {}
+        for number, (state, samples) in enumerate(self.states):
+            arrays |= {f"state{number}": state, f"samples{number}": samples}
+        arrays |= {f"part{number}": part for number, part in enumerate(self.parts)}
+        if self.before is not None:
+            arrays |= {
+                "before_mean": self.before.mean,
+                "before_variance": self.before.variance,
+                "before_samples": self.before.samples,
+            }
+        if self.alpha is not None:
+            arrays["alpha"] = self.alpha
+        if self.guide is not None:
+            arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
+        about = {name: getattr(self, name) for name in ABOUT}
+        arrays["checkpoint"] = np.array(json.dumps(about))
+        if self.network is None:
+            write_whole(path, lambda file: np.savez(file, **arrays))
+            return
+        arrays |= self.density.arrays() if self.density is not None else {}
+        write_whole(path, lambda file: self.network.write(file, **arrays))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Checkpoint:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        CheckpointError
+            If the file is none of ours.
+        """
+        try:
+            return cls._of_arrays(read_arrays(path))
+        except ValueError as error:
+            raise CheckpointError(f"{path} is not a checkpoint of ncv_cl: {error}") from error
+
+    @classmethod
+    def _of_arrays(cls, arrays: dict[str, np.ndarray]) -> Checkpoint:
+        """What `save` put into a file; ValueError for what is missing or not as it should be."""
+        about = record_of(json_of(arrays, "checkpoint"), "checkpoint", ABOUT)
+        if about["method"] not in ("mc", "ncv") or not isinstance(about["identity"], dict):
+            raise ValueError("its method or identity is not one")
+        network = density = None
+        if about["method"] == "ncv":
+            network = Network.of_arrays(arrays)
+            density = DensityNetwork.of_arrays(arrays, network.description)
+        guide = None
+        if "guide_means" in arrays:
+            densities = array_of(arrays, "guide_densities", np.uint32, (CELLS, DENSITY_WORDS))
+            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (CELLS, 3)))
+        points = (ANY, ANY)
+        return cls(
+            about["identity"],
+            about["method"],
+            _edges(about["edges"]),
+            [_state(arrays, number) for number in (0, 1) if number == 0 or "state1" in arrays],
+            _before(arrays) if "before_mean" in arrays else None,
+            network,
+            density,
+            _prediction(about["prediction"]),
+            array_of(arrays, "alpha", np.float32, points) if "alpha" in arrays else None,
+            [
+                array_of(arrays, name, np.float64, (ANY, *points))
+                for name in ("part0", "part1")
+                if name in arrays
+            ],
+            guide,
+        )
+
+    def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
+        """Refuse arrays that are not of this many points, of which kernels would read too many.
+
+        Raises
+        ------
+        CheckpointError
+            Naming what does not fit.
+        """
+        expected = (channels, points)
+        alike = {"alpha": self.alpha, "before_mean": None if self.before is None else self.before.mean}
+        for name, array in alike.items():
+            if array is not None and array.shape != expected:
+                raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
+        if self.method == "ncv" and with_density and self.density is None:
+            raise CheckpointError("the checkpoint lacks the density of its network")
+
+    def check(self, identity: dict[str, object]) -> None:
+        """Refuse to go on with a render that would not be the same.
+
+        Raises
+        ------
+        CheckpointError
+            Naming what differs.
+        """
+        # As it comes back from the file: tuples are lists there.
+        asked = json.loads(json.dumps(identity))
+        names = [name for name in (self.identity | asked) if self.identity.get(name) != asked.get(name)]
+        if names:
+            differences = ", ".join(
+                f"{name} is {asked.get(name)!r}, was {self.identity.get(name)!r}" for name in names
+            )
+            raise CheckpointError(f"the checkpoint is of another render: {differences}")
+
+
+def _edges(found: object) -> list[int]:
+    if not isinstance(found, list) or not found or found[0] != 0:
+        raise ValueError("its passes do not begin at 0")
+    edges = [whole_number("a pass's end", one, 0, 1 << 62) for one in found]
+    if any(one >= following for one, following in itertools.pairwise(edges)):
+        raise ValueError("its passes are not one after another")
+    return edges
+
+
+def _numbers_of_samples(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    samples = array_of(arrays, name, np.float64, (ANY,))
+    if (samples < 0).any() or (samples % 1 != 0).any():
+        raise ValueError(f"{name!r} must hold whole numbers")
+    return samples
+
+
+def _state(arrays: dict[str, np.ndarray], number: int) -> tuple[np.ndarray, np.ndarray]:
+    samples = _numbers_of_samples(arrays, f"samples{number}")
+    return array_of(arrays, f"state{number}", np.float32, (ANY, len(samples))), samples
+
+
+def _before(arrays: dict[str, np.ndarray]) -> Estimate:
+    samples = _numbers_of_samples(arrays, "before_samples")
+    mean = array_of(arrays, "before_mean", np.float64, (ANY, len(samples)))
+    # Not known where there are fewer than two samples.
+    variance = array_of(arrays, "before_variance", np.float64, mean.shape, nan_allowed=True)
+    if (variance < 0).any():
+        raise ValueError("'before_variance' holds negative values")
+    return Estimate(mean, variance, samples)
+
+
+def _prediction(found: object) -> dict[str, object] | None:
+    if found is None:
+        return None
+    found = record_of(found, "prediction", (field.name for field in fields(Prediction)))
+    if found["method"] not in ("mc", "ncv") or not isinstance(found["first_pass"], bool):
+        raise ValueError("its prediction is not one")
+    for name in ("mc_seconds", "ncv_seconds", "variance_gain"):
+        real_number(name, found[name], 0.0, math.inf)
+    return found

@@ -1,0 +1,89 @@
+"""What a render keeps beside its picture: checkpoints, and the trained network."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..estimation.control_variate import ControlVariate
+from ..estimation.image_estimate import ImageEstimate
+from ..network.network import Network
+from ..sampling.accumulate import Estimate
+from ..sampling.guide import Guide
+from .checkpoint import Checkpoint
+
+
+@dataclass
+class Keep:
+    """Where to keep what, under which identity, and the checkpoint to go on from.
+
+    What cannot be written does not cost the picture: it is warned of, once, and noted.
+
+    Attributes
+    ----------
+    checkpoint, network : str or Path, optional
+    identity : dict
+        All that decides the image's bits.
+    resumed : Checkpoint, optional
+    not_written : dict
+        By path, what went wrong.
+    """
+
+    checkpoint: str | Path | None
+    network: str | Path | None
+    identity: dict[str, object]
+    resumed: Checkpoint | None
+    not_written: dict[str, str] = field(default_factory=dict)
+
+    def save_network(self, network: Network, companions: dict[str, np.ndarray]) -> None:
+        """Write the trained network, if it is wanted."""
+        if self.network is not None:
+            self._attempt(self.network, lambda: network.save(self.network, **companions))
+
+    def note_no_network(self) -> None:
+        """Say that there is none to write."""
+        if self.network is not None:
+            self._failed(self.network, "no network was trained")
+
+    def write(
+        self,
+        image_estimate: ImageEstimate,
+        before: Estimate | None,
+        variate: ControlVariate | None,
+        prediction: dict[str, object] | None,
+        guide: Guide | None,
+    ) -> None:
+        """Write a checkpoint, if it is wanted."""
+        if self.checkpoint is None:
+            return
+        found = Checkpoint(
+            self.identity,
+            "mc" if variate is None else "ncv",
+            [int(edge) for edge in image_estimate.passes.edges[: image_estimate.done + 1]],
+            image_estimate.states(),
+            before,
+            variate.folded.network if variate else None,
+            variate.learned if variate else None,
+            prediction,
+            variate.alpha if variate else None,
+            image_estimate.parts,
+            guide,
+        )
+        self._attempt(self.checkpoint, lambda: found.save(self.checkpoint))
+
+    def _attempt(self, path: str | Path, write: Callable[[], None]) -> None:
+        try:
+            write()
+        except (OSError, MemoryError) as error:
+            self._failed(path, str(error) or "not enough memory")
+        else:
+            self.not_written.pop(str(path), None)
+
+    def _failed(self, path: str | Path, why: str) -> None:
+        if str(path) not in self.not_written:
+            warnings.warn(f"{path} is not written: {why}", stacklevel=6)
+        self.not_written[str(path)] = why

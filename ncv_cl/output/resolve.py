@@ -1,0 +1,162 @@
+"""From estimates at shading points to the pixels and layers of an image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..integrands import Integrand
+from ..points.points import ShadingPoints
+from ..sampling.accumulate import Estimate
+from ..scene.load import Scene
+from .image import Image
+
+# Below this weight the training samples' estimate is left out: it could not be noticed.
+SMALLEST_SHARE = 0.01
+
+
+def estimate_of(
+    plain: Estimate, residual: Estimate | None, integral: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each point's estimate and its variance, float64 (channels, points).
+
+    With a network the estimate is G + <f - g>, alpha = 1: unbiased for every network.
+    """
+    if residual is None or integral is None:
+        return plain.mean, plain.variance_of_mean
+    return integral + residual.mean, residual.variance_of_mean
+
+
+def combine(
+    mean: np.ndarray,
+    variance: np.ndarray,
+    training: Estimate | None,
+    samples: float,
+    by_count: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add the training samples' own estimate to one of `mean` and `variance`, (channels, points).
+
+    Parameters
+    ----------
+    samples : float
+        Samples a point behind `mean`, as they were asked for.
+    by_count : bool
+        Weigh the two by their numbers of samples, as on the slides' last page, m / (m + n) <MC> +
+        n / (m + n) (G + <f - g>): the sum is unbiased. So it is done also where `variance` is not known
+        (NaN). Else they are weighted by the inverse of their mean square errors over the image, where
+        that of the training samples is known by its difference from the other: one weight for the whole
+        image, hence consistent, and unbiased up to a term of order one over the number of points.
+    """
+    if training is None:
+        return mean, variance
+    sampled = training.samples > 0
+    compared = sampled & np.isfinite(variance).all(axis=0)
+    error = own = np.nan
+    if compared.any():
+        error = float(np.mean(variance[:, compared]))
+        difference = float(np.mean((training.mean - mean)[:, compared] ** 2))
+        own = max(difference - error, 0.0)
+    if by_count or not compared.any():
+        share = training.samples / (training.samples + samples)
+    else:
+        weight = error / (own + error) if own > 0 else 0.0
+        share = np.where(sampled, weight if weight >= SMALLEST_SHARE else 0.0, 0.0)
+    training_variance = _variance_as_seen(training, compared, own)
+    return (
+        share * training.mean + (1 - share) * mean,
+        np.where(share > 0, share**2 * training_variance, 0.0) + (1 - share) ** 2 * variance,
+    )
+
+
+def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) -> np.ndarray:
+    """Variances of the training samples' means, of which those `compared` had this mean square error.
+
+    The samples are stratified: their error is what was seen, not what independent ones would have. So
+    it is for a single sample, which has no variance of its own.
+    """
+    spread = training.variance / np.maximum(training.samples, 1)
+    expected = spread[:, compared & training.known]
+    ratio = error / float(np.mean(expected)) if expected.any() else 0.0
+    return np.where(training.known, ratio * spread, error)
+
+
+class PixelGrid:
+    """The box filter from sub-pixels to pixels."""
+
+    def __init__(self, points: ShadingPoints, size: tuple[int, int], supersample: int) -> None:
+        self.width, self.height = size
+        columns = self.width * supersample
+        row, column = points.cell // columns, points.cell % columns
+        self.pixel = (row // supersample) * self.width + column // supersample
+        self.cells_a_pixel = supersample**2
+
+    def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
+        """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
+        pixel, pixels = self.pixel[points], self.width * self.height
+        planes = [np.bincount(pixel, weights=row, minlength=pixels) for row in values]
+        return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
+
+    def average(self, values: np.ndarray, points: slice) -> np.ndarray:
+        """As `sum`, over the number of sub-pixels: what is not there counts as zero."""
+        return self.sum(values, points) / self.cells_a_pixel
+
+
+def resolve_image(
+    scene: Scene,
+    integrand: Integrand,
+    points: ShadingPoints,
+    size: tuple[int, int],
+    supersample: int,
+    plain: Estimate,
+    training: Estimate | None = None,
+    residual: Estimate | None = None,
+    integral: np.ndarray | None = None,
+    samples: float = 1.0,
+    by_count: bool = False,
+) -> Image:
+    """The image of the estimates, with its layers.
+
+    Parameters
+    ----------
+    plain, training, residual : Estimate
+        Of f from the render's own samples, of f from the training samples, of f − g.
+    integral : ndarray, optional
+        float (channels, points.active), G of each active point.
+    samples, by_count
+        As `combine` takes them.
+    """
+    grid = PixelGrid(points, size, supersample)
+    active, everything = slice(0, points.active), slice(0, points.total)
+    mean, variance = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
+    pixels = grid.average(mean, active) + np.zeros(3)
+    # Errors of a pixel's points are independent: variances add with the square of the weight.
+    pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
+
+    outgoing = points.rows("outgoing")
+    lit = np.flatnonzero(points.light >= 0)
+    if lit.size:
+        emitted = np.zeros((3, points.total), np.float32)
+        emitted[:, lit] = integrand.emitted(scene, points.light[lit], outgoing[:, lit]).T
+        pixels += grid.average(emitted, everything)
+    if points.material is not None:
+        glow = integrand.glow(scene, points.material)
+        if glow.any():
+            pixels += grid.average(glow.T, everything)
+
+    layers = {
+        "albedo": grid.average(points.rows("albedo"), everything),
+        "N": grid.average(points.rows("normal"), everything),
+        "depth": _depth(scene, grid, points),
+    }
+    if residual is not None and integral is not None:
+        layers["G"] = grid.average(integral, active) + np.zeros(3)
+        layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+    return Image(pixels, pixel_variance, layers)
+
+
+def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:
+    """Mean distance from the camera over a pixel's hits; 0 where nothing was hit."""
+    offset = points.rows("position") - np.asarray(scene.camera.position, np.float32)[:, None]
+    everything = slice(0, points.total)
+    distances = grid.sum(np.linalg.norm(offset, axis=0)[None], everything)
+    hits = grid.sum(np.ones((1, points.total)), everything)
+    return (distances / np.maximum(hits, 1))[..., 0]

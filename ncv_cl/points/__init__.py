@@ -1,0 +1,1 @@
+"""Points: those of the unit square, and shading points where camera rays hit."""

@@ -1,0 +1,220 @@
+"""Shading points: what the camera sees, compacted, as a structure of arrays on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..opencl.device import Device, HostArray
+from ..opencl.program import build
+from ..scene.load import Camera, Scene
+from .trace import Hits, Tracer
+
+# Floats of each property in `surface`, in the order of their rows.
+_ROWS = {
+    "POSITION": 3,
+    "NORMAL": 3,
+    "GEOMETRIC_NORMAL": 3,
+    "OUTGOING": 3,
+    "OFFSET": 1,
+    "ALBEDO": 3,
+    "REFLECTANCE": 3,
+    "ROUGHNESS": 1,
+}
+ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
+ROW_COUNT = sum(_ROWS.values())
+
+# Rays start and end off surfaces by this multiple of the coordinates that enter there (surface.cl): 32
+# rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.
+RELATIVE_OFFSET = 32 * 2.0**-24
+# Part of a triangle's extent that counts whatever its normal: the offset is nowhere zero.
+LEAST_SPREAD = 2.0**-10
+MATERIAL_FLOATS = 7
+CAMERA_RAYS_PER_BATCH = 1 << 19
+
+
+def surface_defines() -> dict[str, int | str]:
+    """The `-D` constants of surface.cl and points.cl."""
+    return {
+        **{f"ROW_{name}": row for name, row in ROW.items()},
+        "MATERIAL_FLOATS": MATERIAL_FLOATS,
+        "RELATIVE_OFFSET": f"{RELATIVE_OFFSET!r}f",
+        "LEAST_SPREAD": f"{LEAST_SPREAD!r}f",
+    }
+
+
+@dataclass(frozen=True)
+class ShadingPoints:
+    """The shading points of an image.
+
+    Attributes
+    ----------
+    surface : HostArray
+        float32 (ROW_COUNT, total), rows as in surface.cl, about the scene's origin.
+    cell : ndarray
+        uint32 (total,), sub-pixel of each point in row-major order on the supersampled grid.
+    light : ndarray
+        int32 (total,), index of the area light that the point lies on, or -1.
+    active : int
+        The first `active` points have an integral; the rest only fill image layers.
+    background : int
+        Sub-pixels whose camera ray hit nothing.
+    dark : int
+        Points that `without_last` took out, since their integral is zero.
+    material : ndarray, optional
+        int32 (total,), index of the material of each point.
+    origin : ndarray
+        float64 (3,), world position of the scene's origin.
+    """
+
+    surface: HostArray
+    cell: np.ndarray
+    light: np.ndarray
+    active: int
+    background: int
+    dark: int = 0
+    material: np.ndarray | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def total(self) -> int:
+        return len(self.cell)
+
+    def rows(self, name: str) -> np.ndarray:
+        """A copy of one property, float32 (floats, total); `name` as in surface.cl, lower case."""
+        key = name.upper()
+        with self.surface.mapped() as surface:
+            return surface[ROW[key] : ROW[key] + _ROWS[key]].copy()
+
+    def with_dark_last(self, dark: np.ndarray) -> ShadingPoints:
+        """The same points, of the active ones those where `dark` (active,) is true last."""
+        if not dark.any():
+            return self
+        order = np.arange(self.total)
+        order[: self.active] = np.argsort(dark, kind="stable")
+        surface = HostArray(self.surface.device, self.surface.shape, np.float32)
+        with self.surface.mapped() as old, surface.mapped(write=True) as new:
+            for row, values in zip(new, old, strict=True):
+                np.take(values, order, out=row)
+        material = None if self.material is None else self.material[order]
+        return replace(
+            self, surface=surface, cell=self.cell[order], light=self.light[order], material=material
+        )
+
+    def without_last(self, dark: int) -> ShadingPoints:
+        """The same points, the last `dark` active ones inactive."""
+        return replace(self, active=self.active - dark, dark=dark)
+
+
+def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
+    """What points.cl reads of a camera: position, forward, scaled right, scaled up; float32 (4, 3)."""
+    forward = np.asarray(camera.target, float) - np.asarray(camera.position, float)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    half_height = np.tan(np.radians(camera.vertical_fov) / 2)
+    return np.array(
+        [camera.position, forward, right * half_height * (width / height), up * half_height],
+        np.float32,
+    )
+
+
+def material_records(scene: Scene) -> np.ndarray:
+    """float32 (materials, MATERIAL_FLOATS): albedo, reflectance, roughness."""
+    rows = [[*m.albedo, *m.reflectance, m.roughness] for m in scene.materials]
+    return np.array(rows, np.float32).reshape(-1, MATERIAL_FLOATS)
+
+
+def triangle_spreads(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Along the triangles' own normals, the extent of their boxes, as surface.cl's `spread`.
+
+    Parameters
+    ----------
+    corners : ndarray
+        (triangles, 3, 3).
+    normals : ndarray
+        (triangles, 3), unit vectors.
+    """
+    extent = np.ptp(corners, axis=1)
+    return np.sum(np.abs(normals) * extent, axis=1) + LEAST_SPREAD * extent.max(axis=1)
+
+
+def find_points(
+    device: Device,
+    scene: Scene,
+    tracer: Tracer,
+    width: int,
+    height: int,
+    supersample: int = 1,
+    emitters_active: bool = False,
+) -> ShadingPoints:
+    """Trace the camera's rays and keep what was hit.
+
+    Parameters
+    ----------
+    width, height : int
+        Pixels of the image.
+    supersample : int
+        k makes k × k sub-pixels of a pixel, each a shading point of its own.
+    emitters_active : bool
+        Whether points on area lights have an integral (ambient occlusion) or not (direct light, whose
+        emitters are black bodies).
+    """
+    columns, rows = width * supersample, height * supersample
+    cells = columns * rows
+    program = build(device, ("common", "surface", "points"), surface_defines())
+    camera = HostArray.of(device, camera_record(scene.camera, width, height))
+    hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
+
+    cell = np.flatnonzero(hits.triangle >= 0).astype(np.uint32)
+    light = scene.triangle_light[hits.triangle[cell]]
+    if not emitters_active:
+        order = np.argsort(light >= 0, kind="stable")
+        cell, light = cell[order], light[order]
+    active = len(cell) if emitters_active else int(np.count_nonzero(light < 0))
+
+    surface = HostArray(device, (ROW_COUNT, len(cell)), np.float32)
+    program.kernel("shading_points")(
+        len(cell),
+        camera,
+        columns,
+        rows,
+        len(cell),
+        HostArray.of(device, cell),
+        HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
+        HostArray.of(device, hits.u[cell]),
+        HostArray.of(device, hits.v[cell]),
+        HostArray.of(device, scene.vertices),
+        HostArray.of(device, scene.vertex_normals),
+        HostArray.of(device, scene.triangles),
+        HostArray.of(device, scene.triangle_material),
+        HostArray.of(device, material_records(scene)),
+        surface,
+    )
+    device.queue.finish()
+    material = scene.triangle_material[hits.triangle[cell]]
+    background = cells - len(cell)
+    return ShadingPoints(
+        surface, cell, light, active, background, material=material, origin=scene.origin
+    )
+
+
+def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:
+    cells = columns * rows
+    batch = min(CAMERA_RAYS_PER_BATCH, cells)
+    origins = HostArray(device, (batch, 3), np.float32)
+    directions = HostArray(device, (batch, 3), np.float32)
+    found = []
+    for first in range(0, cells, batch):
+        count = min(batch, cells - first)
+        camera_rays(count, camera, first, count, columns, rows, origins, directions)
+        with origins.mapped(count=count) as starts, directions.mapped(count=count) as towards:
+            found.append(tracer.closest(starts, towards))
+    return Hits(
+        np.concatenate([hits.triangle for hits in found]),
+        np.concatenate([hits.u for hits in found]),
+        np.concatenate([hits.v for hits in found]),
+        np.concatenate([hits.distance for hits in found]),
+    )

@@ -1,0 +1,137 @@
+"""Rays on the host: embree by way of embreex, chunked over threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+
+from ..scene.load import Scene
+
+# Rays a task at most and at least; small enough to balance threads, large enough to hide the call.
+CHUNK = 1 << 14
+SMALLEST_CHUNK = 1 << 11
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Closest hits: triangle index (-1 for none), barycentric u, v of corners 1 and 2, and distance.
+
+    The distance is in multiples of the ray's direction.
+    """
+
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    distance: np.ndarray
+
+
+def usable_cores() -> int:
+    """Cores that this process may use; all there are where the system has no such limit."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Tracer:
+    """A scene committed to embree.
+
+    Parameters
+    ----------
+    scene : Scene
+    threads : int, optional
+        Host threads; the number of cores this process may use by default. embreex releases the GIL
+        while it traces.
+    """
+
+    def __init__(self, scene: Scene, threads: int | None = None) -> None:
+        if threads is not None and (int(threads) != threads or threads < 1):
+            raise ValueError(f"threads must be a whole number of at least 1, got {threads!r}")
+        self.threads = threads or usable_cores()
+        # Robust traversal: no ray slips through the edge between two triangles.
+        self._scene = rtcore_scene.EmbreeScene(robust=True)
+        TriangleMesh(self._scene, scene.vertices, scene.triangles.astype(np.int32))
+        self._pool = ThreadPoolExecutor(self.threads)
+        # The first run commits the scene and must not race with another.
+        ray = np.zeros((1, 3), np.float32)
+        self._scene.run(ray, ray + np.float32(1.0))
+
+    def closest(self, origins: np.ndarray, directions: np.ndarray, out: Hits | None = None) -> Hits:
+        """The closest hit of each ray; `origins` and `directions` are float32 (rays, 3).
+
+        Written to `out` where that is given: int32 and three times float32 (rays,).
+        """
+        kinds = (np.int32, np.float32, np.float32, np.float32)
+        hits = out or Hits(*(np.empty(len(origins), kind) for kind in kinds))
+        self._in_chunks((len(origins), self._closest_part(origins, directions, hits)))
+        return hits
+
+    def visible(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        distances: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """Write 1 to `out` (uint8) where nothing lies between 0 and `distances` along a ray, else 0.
+
+        Directions need no unit length; distances are in multiples of them.
+        """
+        self._in_chunks((len(origins), self._visible_part(origins, directions, distances, out)))
+
+    def closest_and_visible(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        hits: Hits,
+        shadow_origins: np.ndarray,
+        shadow_directions: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """`closest` of some rays, `visible` to the ends of others: threads wait once for both."""
+        shadows = (shadow_origins, shadow_directions, np.ones(len(out), np.float32), out)
+        self._in_chunks(
+            (len(origins), self._closest_part(origins, directions, hits)),
+            (len(shadow_origins), self._visible_part(*shadows)),
+        )
+
+    def _closest_part(
+        self, origins: np.ndarray, directions: np.ndarray, hits: Hits
+    ) -> Callable[[slice], None]:
+        def trace(part: slice) -> None:
+            found = self._scene.run(origins[part], directions[part], output=True)
+            hits.triangle[part] = found["primID"]
+            hits.u[part] = found["u"]
+            hits.v[part] = found["v"]
+            hits.distance[part] = found["tfar"]
+
+        return trace
+
+    def _visible_part(
+        self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
+    ) -> Callable[[slice], None]:
+        def trace(part: slice) -> None:
+            blocked = self._scene.run(origins[part], directions[part], distances[part], query="OCCLUDED")
+            np.less(blocked, 0, out=out[part].view(np.bool_))
+
+        return trace
+
+    def _in_chunks(self, *work: tuple[int, Callable[[slice], None]]) -> None:
+        """Do each (rays, what traces a part of them), cut into parts that all threads share."""
+        shared = sum(rays for rays, _ in work) // (2 * self.threads)
+        step = min(max(shared, SMALLEST_CHUNK), CHUNK)
+        parts = [
+            (trace, slice(start, min(start + step, rays)))
+            for rays, trace in work
+            for start in range(0, rays, step)
+        ]
+        if len(parts) == 1:
+            parts[0][0](parts[0][1])
+        else:
+            # list() passes on what a thread raised.
+            list(self._pool.map(lambda part: part[0](part[1]), parts))

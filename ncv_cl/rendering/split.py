@@ -1,0 +1,94 @@
+"""Global illumination as the sum of two images: direct light, and the rest."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..integrands import DirectLight, GlobalIllumination, Integrand, IntegrandError
+from ..output.image import Image, checked_reference
+from ..output.report import about_values
+from ..points.sampler import seed_words
+from ..scene.load import Scene
+from .render import render
+
+# What belongs to one of the two renders, or would have to be divided among them.
+_ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse")
+# Part of a time limit that direct light has; the rest of the light has what that leaves.
+_DIRECT_SHARE = 0.5
+
+
+def render_split(
+    scene: Scene | str | Path, integrand: str | Integrand = "gi", **options: object
+) -> Image:
+    """Direct light by its own control variate, all other light by another, and their sum.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+    integrand : "gi" or GlobalIllumination
+        Its `direct` must be true.
+    **options
+        As `render` takes them, each for both images, but for a time limit, which is for both together;
+        not those that are about one render, such as its network and checkpoint, nor a target.
+
+    Returns
+    -------
+    Image
+        Its pixels, variances, integrals of networks and seconds are sums; `stats["direct"]` and
+        `stats["indirect"]` hold the two renders' own.
+
+    Raises
+    ------
+    IntegrandError
+        If the integrand has no direct part to split off.
+    ValueError
+        For options that one of two renders cannot have, and as `render` raises it.
+    """
+    for name in _ONE_RENDER:
+        if options.get(name) is not None:
+            raise ValueError(f"{name} is for one render, and split direct light makes two: leave it out")
+    whole = GlobalIllumination() if integrand == GlobalIllumination.name else integrand
+    if not isinstance(whole, GlobalIllumination) or not whole.direct:
+        raise IntegrandError("only integrand gi has direct light to split off")
+    started = time.perf_counter()
+    reference, limit = options.pop("reference", None), options.pop("time_limit", None)
+    seed = options.pop("seed", 0)
+    seed_words(seed)
+    if reference is not None:
+        reference = checked_reference(reference, options.get("size", (512, 512)))
+    share = None if limit is None else _DIRECT_SHARE * limit
+    direct = render(scene, DirectLight(), seed=seed, time_limit=share, **options)
+    rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp, guided=whole.guided)
+    # Another seed: the errors of the two are to be independent.
+    left = None if limit is None else max(limit - (time.perf_counter() - started), 1e-6)
+    indirect = render(scene, rest, seed=(seed + 2**63) % 2**64, time_limit=left, **options)
+    image = _sum(direct, indirect)
+    image.metadata |= {"direct": True, "split_direct": True, "seed": seed}
+    about_values(image, reference)
+    return image
+
+
+def _sum(direct: Image, indirect: Image) -> Image:
+    """Of two images of one camera."""
+    layers = dict(indirect.layers)
+    for name in ("G", "residual"):
+        parts = [one.layers[name] for one in (direct, indirect) if name in one.layers]
+        if parts:
+            layers[name] = sum(parts[1:], parts[0])
+    first, second = direct.stats, indirect.stats
+    stats = {**second, "direct": first, "indirect": second}
+    stats["seconds"] = _added(first["seconds"], second["seconds"])
+    for name in ("rays_traced", "rays_skipped", "samples_per_point"):
+        stats[name] = first[name] + second[name]
+    stats.pop("residual_variance_ratio", None)
+    stats.pop("pixels_without_variance", None)
+    return Image(
+        direct.pixels + indirect.pixels, direct.variance + indirect.variance, layers, stats,
+        dict(indirect.metadata),
+    )  # fmt: skip
+
+
+def _added(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
+    return {stage: first.get(stage, 0.0) + second.get(stage, 0.0) for stage in {**first, **second}}

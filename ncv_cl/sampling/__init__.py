@@ -1,0 +1,1 @@
+"""Samples of an integrand in batches, traced, and their running means and variances."""

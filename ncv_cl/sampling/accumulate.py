@@ -1,0 +1,182 @@
+"""Running estimates of every point's integral: Monte Carlo, and the residual of a control variate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..network.network import FoldedNetwork
+from ..opencl.device import GROUP_SIZE, Device, HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints
+from .samples import Batch, ray_defines
+
+STATE_FLOATS = 3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Sample means over one quantity.
+
+    Attributes
+    ----------
+    mean, variance : ndarray
+        float64 (channels, points): the mean, and the variance of a single sample (unbiased; NaN where
+        it is not known, for want of two samples).
+    samples : ndarray
+        float64 (points,), samples of each point.
+    calibrated : ndarray, optional
+        float64 (channels, points), the variance of `mean` where it is known better than from independent
+        samples (`calibrate`).
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    samples: np.ndarray
+    calibrated: np.ndarray | None = None
+
+    @property
+    def variance_of_mean(self) -> np.ndarray:
+        """Variance of `mean`; where not calibrated, as if samples were independent (for Sobol a bound).
+
+        NaN where it is not known.
+        """
+        if self.calibrated is not None:
+            return self.calibrated
+        return self.variance / np.maximum(self.samples, 1)
+
+    @property
+    def known(self) -> np.ndarray:
+        """Where there are samples enough for a variance, bool (points,)."""
+        return self.samples > 1
+
+    def merged(self, other: Estimate) -> Estimate:
+        """Of all samples of both, where these are independent of each other."""
+        samples = self.samples + other.samples
+        share = other.samples / np.maximum(samples, 1)
+        # Each variance is unbiased, and so is any mean of them whose weights the samples do not decide.
+        both = (1 - share) * self.variance + share * other.variance
+        one = np.where(self.known, self.variance, other.variance)
+        return Estimate(
+            (1 - share) * self.mean + share * other.mean,
+            np.where(self.known & other.known, both, one),
+            samples,
+        )
+
+
+class Accumulator:
+    """Accumulates f, and f − g where a network is given, batch after batch.
+
+    Parameters
+    ----------
+    device, points, channels
+    network : FoldedNetwork, optional
+        The control variate.
+    chosen : ndarray, optional
+        uint32, the points that will be given samples; all active ones by default.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        points: ShadingPoints,
+        channels: int,
+        network: FoldedNetwork | None = None,
+        chosen: np.ndarray | None = None,
+    ) -> None:
+        self._chosen = slice(None) if chosen is None else chosen
+        self.points = points
+        self.channels = channels
+        self.network = network
+        self.samples = np.zeros(points.active)
+        self._samples_of_all = 0
+        self._lanes = device.lanes
+        self._group_points = max(1, GROUP_SIZE // device.lanes)
+        defines = {
+            "CHANNELS": channels,
+            "WITH_NETWORK": int(network is not None),
+            "STATE_FLOATS": STATE_FLOATS,
+            "GROUP_POINTS": self._group_points,
+            **ray_defines(),
+        }
+        files: tuple[str, ...] = ("common", "batch", "accumulate")
+        if network is not None:
+            files = ("common", "batch", "mlp", "accumulate")
+            defines |= network.network.description.defines()
+        self._device, self._files, self._defines = device, files, defines
+        self.quantities = 1 + (network is not None)
+        rows = self.quantities * channels * STATE_FLOATS
+        self._state = HostArray(device, (rows, points.active), np.float32)
+        self._state.fill(0.0)
+
+    def add(self, batch: Batch, previous: int | None = None) -> None:
+        """Add a batch, whose points must all have been given `previous` samples before.
+
+        By default what all points have been given in the passes finished so far.
+        """
+        previous = self._samples_of_all if previous is None else previous
+        weighted = batch.weight is not None
+        program = build(self._device, self._files, {**self._defines, "WEIGHTED": int(weighted)})
+        inputs = [batch.order, batch.value, batch.slot, batch.visible]
+        if weighted:
+            inputs.append(batch.weight)
+        if self.network is not None:
+            inputs += [batch.u, batch.v, *self.network.arrays]
+        program.kernel("accumulate")(
+            len(batch.points) * self._lanes,
+            batch.points.start,
+            len(batch.points),
+            self.points.active,
+            batch.samples,
+            batch.stride,
+            float(previous),
+            *inputs,
+            self._state,
+            group=self._group_points * self._lanes,
+        )
+
+    def finish_pass(self, samples: int | np.ndarray, chosen: np.ndarray | None = None) -> None:
+        """Say that each of the points has been given `samples` more.
+
+        Without `chosen` (indices, with one number each in `samples`) all have been given the same.
+        """
+        if chosen is None:
+            self.samples[self._chosen] += samples
+            self._samples_of_all += int(samples)
+        else:
+            self.samples[chosen] += samples
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """What `restore` takes: sums (rows, chosen points) and numbers of samples (chosen points,)."""
+        return self._state.read()[:, self._chosen], self.samples[self._chosen]
+
+    def restore(self, state: np.ndarray, samples: np.ndarray) -> None:
+        """Go on from another accumulator's `state`; ValueError if it is not of as many points."""
+        whole = self._state.read()
+        expected = whole[:, self._chosen].shape
+        if state.shape != expected or samples.shape != expected[1:]:
+            raise ValueError(
+                f"the checkpoint's state must be {expected}, is {state.shape}: it was tampered with"
+            )
+        whole[:, self._chosen] = state
+        with self._state.mapped(write=True) as view:
+            view[...] = whole
+        self.samples[self._chosen] = samples
+
+    def means(self) -> np.ndarray:
+        """Means so far, float64 (quantities, channels, points)."""
+        state = self._state.read().astype(np.float64)
+        state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)
+        return state[:, :, 0] + state[:, :, 1]
+
+    def result(self, quantity: int = 0) -> Estimate:
+        """Means and variances of f (`quantity` 0) or of f − g (1)."""
+        rows = self.channels * STATE_FLOATS
+        with self._state.mapped() as view:
+            state = view[quantity * rows : (quantity + 1) * rows]
+            state = state.reshape(self.channels, STATE_FLOATS, -1)
+            mean = state[:, 0].astype(np.float64) + state[:, 1]
+            spread = state[:, 2] / np.maximum(self.samples - 1, 1)
+        variance = np.where(self.samples > 1, spread, np.nan)
+        return Estimate(mean, variance, self.samples.copy())

@@ -1,0 +1,169 @@
+"""Samples of functions of the user: coordinates go out, a Python callable gives the values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..integrands import Integrand, IntegrandError
+from ..opencl.device import Device, HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints
+from ..points.sampler import Stream, sampler_defines, seed_words
+from ..scene.load import Scene
+from .samples import Batch, Batches, ray_defines
+from .warp import Warp
+
+# Samples a point on average in one call of the callable, about.
+SAMPLES_A_PASS = 128
+# How many values a callable's constant is the median of: an odd number at each of some points.
+OFFSET_POINTS, OFFSET_SAMPLES = 256, 17
+# Squares of larger values, and sums of these, are beyond float32.
+LARGEST_VALUE = 1e15
+
+Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class HostIntegrand(Integrand):
+    """An integrand that a Python callable evaluates."""
+
+    name = "custom"
+    files = ()
+    inputs = ("position",)
+    demodulated = False
+    emitters_active = True
+    channels = 1
+
+    def __init__(self, channels: int) -> None:
+        self.channels = channels
+
+    def data(self, scene: Scene) -> np.ndarray:
+        return np.empty(0, np.float32)
+
+    def defines(self, scene: Scene) -> dict[str, int]:
+        return {"CHANNELS": self.channels}
+
+
+class CallableSource(Batches):
+    """Draws samples of a callable less a constant, as `SampleSource` does of a scene's integrand.
+
+    Attributes
+    ----------
+    offset : ndarray
+        float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
+        points. What is integrated is then near zero whatever f is, and float32 holds its differences.
+        Any constant leaves the estimate as it is once it is added again; this one rests on samples that
+        nothing else uses.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        points: ShadingPoints,
+        function: Function,
+        channels: int,
+        sampler: str,
+        seed: int,
+    ) -> None:
+        super().__init__(device, points, channels, SAMPLES_A_PASS)
+        self._function = function
+        self._seed = seed_words(seed)
+        self._defines = {
+            **sampler_defines(sampler),
+            **ray_defines(),
+        }
+        with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
+            slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
+        self.offset = np.zeros(channels)
+
+    def centre(self) -> None:
+        """Take off the medians of f's channels, over `OFFSET_SAMPLES` at each of some of the points."""
+        points = self.points.active
+        chosen = np.linspace(0, points, min(points, OFFSET_POINTS), endpoint=False)
+        order = HostArray.of(self.device, chosen.astype(np.uint32))
+        parts = self.parts(range(len(chosen)), range(OFFSET_SAMPLES))
+        values = [self._values(*part, Stream.OFFSET, order)[0] for part in parts]
+        flat = np.concatenate([one.reshape(-1, self.channels) for one in values])
+        self.offset = self.offset + np.median(flat, axis=0)
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+    ) -> Batch:
+        order = self._every_point if order is None else order
+        values, warp = self._values(points, samples, stream, order, density)
+        stride = self._stride_of(len(samples))
+        count, shape = len(points) * stride, (len(points), stride)
+        with self._value.mapped(write=True) as view:
+            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+            planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
+            planes[..., len(samples) :] = 0
+        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(points, order, len(samples), stride, *arrays, *warp)
+
+    def _values(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray,
+        density: Warp | None = None,
+    ) -> tuple[np.ndarray, list[HostArray]]:
+        """f less the constant, float64 (points, samples, channels), and with a density the weights."""
+        stride = self._stride_of(len(samples))
+        warp, files, defines = [], (), {}
+        if density is not None:
+            warp = [density.records(order, points), self._weight]
+            files, defines = density.files, density.defines
+        defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
+        program = build(self.device, ("common", "sampler", *files, "callable"), defines)
+        program.kernel("draw_coordinates")(
+            len(points) * stride // self.device.vector_width,
+            points.start,
+            len(points),
+            samples.start,
+            stride,
+            stream,
+            *self._seed,
+            order,
+            *warp,
+            self._u,
+            self._v,
+        )
+        count, shape = len(points) * stride, (len(points), stride)
+        u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
+        chosen = order.read()[points.start : points.stop]
+        index = np.broadcast_to(chosen[:, None], u.shape)
+        values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
+        return values.reshape(*u.shape, self.channels), warp[1:]
+
+    def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """f less the constant, float64 (samples, channels), checked."""
+        values = np.asarray(self._function(u, v, index))
+        if values.shape not in ((u.size, self.channels), *(((u.size,),) if self.channels == 1 else ())):
+            raise IntegrandError(
+                f"f must return {(u.size, self.channels)} values for {u.size} samples, "
+                f"returned {values.shape}"
+            )
+        if values.dtype.kind not in "bfiu":
+            raise IntegrandError(f"f must return real numbers, returned {values.dtype}")
+        values = values.reshape(u.size, self.channels).astype(np.float64) - self.offset
+        for what, bad in (
+            ("not finite", ~np.isfinite(values)),
+            (f"beyond its median by more than {LARGEST_VALUE:.0e}", np.abs(values) > LARGEST_VALUE),
+        ):
+            if not bad.any():
+                continue
+            samples = np.flatnonzero(bad.any(axis=1))
+            first = samples[0]
+            raise IntegrandError(
+                f"f is {what} at {len(samples)} of {u.size} samples of "
+                f"{len(np.unique(index[samples]))} points, "
+                f"first at u = {u[first]}, v = {v[first]}, point {index[first]}"
+            )
+        return values

@@ -1,0 +1,369 @@
+"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from ..integrands import GlobalIllumination, Integrand
+from ..opencl.device import Device, HostArray
+from ..opencl.program import build
+from ..points.points import RELATIVE_OFFSET, ShadingPoints, surface_defines, triangle_spreads
+from ..points.sampler import sampler_defines
+from ..points.trace import Hits, Tracer
+from ..scene.load import Scene
+from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
+from .guide import Guide, GuideRecorder, guide_defines, guide_frame
+from .samples import NO_RAY, Batch, SampleSource, ray_defines
+from .warp import Warp, warp_defines
+
+# A depth that no path reaches.
+UNLIMITED = 1 << 30
+# Words before the planes of a wave, and between the two counts there: a cache line each.
+HEADER, COUNT_STEP = 32, 16
+# Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
+PLANES, HOST_PLANES = 26, 17
+# Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
+RADIANCE_FLOATS = 4
+# Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
+# the same where the mean of what is ended is known. Of those tried, the least variance times rays
+# (96 x 96 points, one pair of seeds, Cornell box and interior).
+ROULETTE = (2, 2.0)
+GUIDED_ROULETTE = (2, 3.0)
+# The most that go on.
+MOST_SURVIVE = 0.95
+
+
+def sample_source(
+    device: Device,
+    scene: Scene,
+    tracer: Tracer,
+    points: ShadingPoints,
+    integrand: Integrand,
+    *rest: Any,
+    lines: bool = False,
+    shadows_tested: bool = False,
+) -> SampleSource:
+    """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
+    if integrand.nested:
+        arguments = (device, scene, tracer, points, integrand, *rest)
+        return PathSource(*arguments, shadows_tested=shadows_tested)
+    return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines)
+
+
+class _Wave:
+    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
+
+    Parameters
+    ----------
+    device
+    capacity : int
+        Most rays of each kind.
+    shadows_tested : bool
+        Whether shadow rays are but counted, as kernels answer them.
+
+    Attributes
+    ----------
+    words : HostArray
+        float32; some planes hold integers.
+    plane : int
+        Elements of a plane.
+    rays, shadows, tested : int
+        How many go on, how many end at a light, and how many of those kernels have answered.
+    """
+
+    def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
+        self._width = device.vector_width
+        self._shadows_tested = shadows_tested
+        self.words = HostArray(device, HEADER + PLANES * self._plane_of(capacity), np.float32)
+        self.words.fill(0)
+        self.plane = self.rays = self.shadows = self.tested = 0
+
+    def make_room(self, count: int) -> None:
+        """For at most `count` rays of each kind."""
+        self.plane = self._plane_of(count)
+
+    def _plane_of(self, count: int) -> int:
+        # Whole vectors; and one line more than what may be a power of two, or all planes would share a
+        # few sets of the cache.
+        return -(-count // self._width) * self._width + COUNT_STEP
+
+    def trace(self, tracer: Tracer) -> float:
+        """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
+        with self.words.mapped(count=HEADER + HOST_PLANES * self.plane, update=True) as words:
+            started = time.perf_counter()
+            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
+            self.rays, self.shadows = counts.tolist()
+            counts[:] = 0
+            if self._shadows_tested:
+                self.tested, self.shadows = self.shadows, 0
+            planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
+            rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
+            tracer.closest_and_visible(
+                rays[:3].T, rays[3:6].T, Hits(rays[12].view(np.int32), *rays[13:16]),
+                shadows[6:9].T, shadows[9:12].T, planes[16].view(np.uint8)[: self.shadows],
+            )  # fmt: skip
+            return time.perf_counter() - started
+
+    def under_way(self) -> tuple[np.ndarray, np.ndarray]:
+        """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
+        with self.words.mapped() as words:
+            planes = words[HEADER : HEADER + PLANES * self.plane].reshape(PLANES, self.plane)
+            return planes[21, : self.rays].copy().view(np.uint32), planes[17:20, : self.rays].copy()
+
+
+class PathSource(SampleSource):
+    """Draws samples of global illumination: complete values, each with the noise of one path.
+
+    Parameters as for `SampleSource`, and
+
+    shadows_tested : bool
+        Test shadow rays behind the first bounce on the device where the scene is of few triangles.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        tracer: Tracer,
+        points: ShadingPoints,
+        integrand: GlobalIllumination,
+        sampler: str,
+        *rest: Any,
+        shadows_tested: bool = False,
+    ) -> None:
+        super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
+        self._max_depth = integrand.max_depth or UNLIMITED
+        self._most = np.inf if integrand.clamp is None else integrand.clamp
+        records, defines = triangle_records(scene)
+        self._triangles = HostArray.of(device, records)
+        self._frame = HostArray.of(device, guide_frame(scene))
+        few = shadows_tested and len(scene.triangles) <= MOST_CASTERS
+        casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
+        self._casters = HostArray.of(device, casters)
+        self._guide: list[HostArray] = []
+        self._recorder: GuideRecorder | None = None
+        surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
+        self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
+        self._defines = {
+            **surface_defines(),
+            **sampler_defines(sampler),
+            **integrand.defines(scene),
+            **defines,
+            "HEADER": f"{HEADER}u",
+            "COUNT_STEP": f"{COUNT_STEP}u",
+            "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
+            "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+            **shadow_defines(len(scene.triangles) if few else 0),
+            **ray_defines(),
+            **warp_defines(),
+            **guide_defines(),
+        }
+        self._choose_program()
+        capacity = self._capacity
+        self._wave, self._next = (_Wave(device, capacity, few) for _ in range(2))
+        self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
+        self._place = _zeros(device, capacity, np.uint32)
+        # Values are complete: all samples share one ray that has been answered.
+        self._whole_slot = _zeros(device, capacity, np.uint32)
+        self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
+
+    def record_guide(self) -> None:
+        """Keep what paths find from now on, for `learn_guide`."""
+        self._recorder = GuideRecorder()
+        self._choose_program()
+
+    def learn_guide(self) -> Guide:
+        """Guide bounces by what was recorded since `record_guide`; returns what `use_guide` takes."""
+        guide = self._recorder.guide()
+        self._recorder = None
+        self.use_guide(guide)
+        return guide
+
+    def use_guide(self, guide: Guide) -> None:
+        """Guide bounces behind the first."""
+        self._guide = [HostArray.of(self.device, array) for array in guide]
+        self._choose_program()
+
+    def _choose_program(self) -> None:
+        recorded = self._recorder is not None
+        guided = bool(self._guide) and not recorded
+        bounce, scale = GUIDED_ROULETTE if guided else ROULETTE
+        flags = {
+            "RECORDED": int(recorded),
+            "GUIDED": int(guided),
+            "ROULETTE_BOUNCE": f"{bounce}u",
+            "ROULETTE_SCALE": f"{scale!r}f",
+        }
+        self._paths = build(self.device, self._files, {**self._defines, **flags})
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+        paths: int | None = None,
+    ) -> Batch:
+        """As `SampleSource.draw`; all samples of the batch are visible, their values complete.
+
+        With `paths`, a stream of its own for all but (u, v): other estimates at the same points.
+        """
+        batch = super().draw(points, samples, stream, order, density)
+        begun, traced = time.perf_counter(), self.rays.trace_seconds
+        path_stream = stream if paths is None else paths
+        self._begin(batch)
+        bounce, under_way = 1, None
+        self._trace()
+        while self._wave.rays or self._wave.shadows:
+            self._add_lit()
+            if bounce == 2 and self._recorder is not None:
+                under_way = self._under_way()
+            self._shade(batch, bounce, samples.start, path_stream)
+            self._trace()
+            bounce += 1
+        if under_way is not None:
+            self._record(*under_way)
+        count = len(batch.points) * batch.stride
+        self._paths.kernel("finish_paths")(
+            -(-count // self.device.vector_width),
+            count,
+            self._most,
+            batch.slot,
+            batch.visible,
+            self._radiance,
+            batch.value,
+        )
+        self.device.queue.finish()
+        traced = self.rays.trace_seconds - traced
+        self.rays.sample_seconds += time.perf_counter() - begun - traced
+        return Batch(
+            points, batch.order, batch.samples, batch.stride, batch.u, batch.v, batch.value,
+            self._whole_slot, self._whole_visible, batch.weight,
+        )  # fmt: skip
+
+    def _begin(self, batch: Batch) -> None:
+        """The first rays."""
+        wave = self._wave
+        wave.make_room(len(batch.points) * batch.stride)
+        self._paths.kernel("begin_paths")(
+            len(batch.points) * batch.stride // self.device.vector_width,
+            batch.points.start,
+            len(batch.points),
+            self.points.total,
+            batch.samples,
+            batch.stride,
+            self._max_depth,
+            batch.order,
+            self.points.surface,
+            batch.u,
+            batch.v,
+            self._radiance,
+            wave.plane,
+            wave.words,
+        )
+
+    def _under_way(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rays that leave the first hits: their paths, throughputs, what the paths brought so far."""
+        path, throughput = self._wave.under_way()
+        with self._radiance.mapped() as radiance:
+            return path, throughput, radiance[path, : self.channels].T
+
+    def _record(self, path: np.ndarray, throughput: np.ndarray, before: np.ndarray) -> None:
+        """What came along rays that were `_under_way`."""
+        with self._radiance.mapped() as radiance, self._place.mapped() as place:
+            brought = (radiance[path, : self.channels].T - before).astype(np.float64)
+            place = place[path]
+        # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
+        arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
+        known = place != NO_RAY
+        self._recorder.add(place[known], arrived[:, known])
+
+    def _trace(self) -> None:
+        """Closest hits of the rays under way, and which shadow rays reach their lights."""
+        self.rays.trace_seconds += self._wave.trace(self._tracer)
+        self.rays.traced += self._wave.rays + self._wave.shadows
+        self.rays.on_device += self._wave.tested
+
+    def _add_lit(self) -> None:
+        """Add what shadow rays found visible."""
+        wave = self._wave
+        if wave.shadows:
+            self._paths.kernel("add_lit")(
+                wave.shadows, wave.shadows, wave.plane, wave.words, self._radiance
+            )
+
+    def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
+        """From hits to shadow rays and the next rays, which are then the wave."""
+        wave, following = self._wave, self._next
+        following.make_room(wave.rays)
+        self._paths.kernel("shade_hits")(
+            -(-wave.rays // self.device.vector_width),
+            wave.rays,
+            self._max_depth,
+            bounce,
+            batch.points.start,
+            first_sample,
+            batch.stride,
+            1.0 / batch.stride,
+            stream,
+            *self._seed,
+            batch.order,
+            self._triangles,
+            self._data,
+            self._casters,
+            self._frame,
+            *(self._guide or (self._frame, self._frame)),
+            self._place,
+            wave.plane,
+            wave.words,
+            self._radiance,
+            following.plane,
+            following.words,
+        )
+        self._wave, self._next = following, wave
+
+
+def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArray:
+    array = HostArray(device, shape, dtype)
+    array.fill(0)
+    return array
+
+
+def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
+    """What paths.cl reads of the triangles, float32 (triangles, floats), and its `-D` constants."""
+    corners = scene.vertices[scene.triangles].astype(np.float64)
+    edges = corners[:, 1:] - corners[:, :1]
+    # Scaled before the cross product, whose squared length is very small for small triangles.
+    scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
+    normals = np.cross(scaled[:, 0], scaled[:, 1])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
+    smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
+    offsets[smooth] *= -1.0
+    materials = [scene.materials[index] for index in range(len(scene.materials))]
+    rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
+            for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
+    own = scene.triangle_material
+    defines = {
+        "HAS_EMISSION": int(rows["emission"].any()),
+        "HAS_NORMALS": int(scene.vertex_normals.any()),
+    }
+    parts = [
+        normals,
+        np.sum(normals * corners[:, 0], axis=1, keepdims=True),
+        offsets[:, None],
+        scene.triangle_light[:, None],
+        rows["albedo"][own],
+    ]
+    if rows["reflectance"].any():
+        parts += [rows["reflectance"][own], rows["roughness"][own]]
+    if defines["HAS_EMISSION"]:
+        parts.append(rows["emission"][own])
+    if defines["HAS_NORMALS"]:
+        parts.append(scene.vertex_normals[scene.triangles].reshape(len(corners), 9))
+    records = np.concatenate(parts, axis=1).astype(np.float32)
+    return records, {**defines, "TRIANGLE_FLOATS": records.shape[1]}

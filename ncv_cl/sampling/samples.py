@@ -1,0 +1,288 @@
+"""Samples of an integrand in batches: coordinates, values without shadow, and traced visibility."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..integrands import Integrand
+from ..opencl.device import Device, HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints, surface_defines
+from ..points.sampler import Stream, sampler_defines, seed_words
+from ..points.trace import Tracer
+from ..scene.load import Scene
+from ..visibility.lines import line_defines
+from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
+from .warp import Warp
+
+# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
+NO_RAY = 0xFFFFFFFF
+SEEN = 0xFFFFFFFE
+# Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
+SAMPLES_PER_BATCH = 1 << 19
+# Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
+LONGEST_RUN = 1024
+# Samples whose mean stands for the unshadowed integral; it only scales what the network learns.
+MEAN_SAMPLES = 64
+
+
+def ray_defines() -> dict[str, str]:
+    """The `-D` constants of batch.cl and samples.cl."""
+    return {"NO_RAY": f"{NO_RAY}u", "SEEN": f"{SEEN}u"}
+
+
+@dataclass
+class RayCount:
+    """How many rays were traced, how many were not worth tracing, and seconds.
+
+    Attributes
+    ----------
+    traced, skipped : int
+    on_device : int
+        Answered by testing a point's few occluders.
+    off_lines : int
+        Of these, samples whose lines have too many gaps to be kept.
+    trace_seconds, sample_seconds : float
+        Spent in embree, and in all else that drawing samples takes.
+    """
+
+    traced: int = 0
+    skipped: int = 0
+    on_device: int = 0
+    off_lines: int = 0
+    trace_seconds: float = 0.0
+    sample_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples of consecutive shading points, as samples.cl lays them out.
+
+    Attributes
+    ----------
+    points : range
+        Where in `order` the batch's shading points are.
+    order : HostArray
+        uint32, indices of shading points.
+    samples : int
+        Samples of each point; `stride` elements are reserved for each.
+    u, v, value, slot, visible : HostArray
+        Coordinates, values without shadow, and where in `visible` (uint8) a sample's ray was answered.
+    weight : HostArray, optional
+        One over the density that the samples were drawn with; None: uniform.
+    """
+
+    points: range
+    order: HostArray
+    samples: int
+    stride: int
+    u: HostArray
+    v: HostArray
+    value: HostArray
+    slot: HostArray
+    visible: HostArray
+    weight: HostArray | None = None
+
+
+class Batches:
+    """Memory for batches of samples, and how work is cut to fit it.
+
+    Parameters
+    ----------
+    device, points
+    channels : int
+    samples_per_point : int
+        Samples a point that `batches` leaves room for.
+    """
+
+    def __init__(
+        self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
+    ) -> None:
+        self.device = device
+        self.points = points
+        self.channels = channels
+        self.rays = RayCount()
+        self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
+        self.stride = self._stride_of(samples_per_point)
+        self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
+        capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN)
+        self._u = HostArray(device, capacity, np.float32)
+        self._v = HostArray(device, capacity, np.float32)
+        self._value = HostArray(device, (self.channels, capacity), np.float32)
+        self._weight = HostArray(device, capacity, np.float32)
+        self._slot = HostArray(device, capacity, np.uint32)
+        self._visible = HostArray(device, capacity, np.uint8)
+
+    def batches(self, count: int | None = None) -> list[range]:
+        """`count` points (all active ones by default) cut into ranges that fit a batch."""
+        step = self.points_per_batch
+        count = self.points.active if count is None else count
+        return [range(first, min(first + step, count)) for first in range(0, count, step)]
+
+    def parts(
+        self, points: range, samples: range, most_points: int | None = None
+    ) -> list[tuple[range, range]]:
+        """`samples` of each of `points`, cut into ranges of both that fit a batch."""
+        found = []
+        for first in range(samples.start, samples.stop, LONGEST_RUN):
+            part = range(first, min(first + LONGEST_RUN, samples.stop))
+            step = max(1, self._capacity // self._stride_of(len(part)))
+            step = min(step, most_points or step)
+            found += [
+                (range(a, min(a + step, points.stop)), part)
+                for a in range(points.start, points.stop, step)
+            ]
+        return found
+
+    def _stride_of(self, samples: int) -> int:
+        """`samples` rounded up to whole vectors."""
+        return -(-samples // self.device.vector_width) * self.device.vector_width
+
+
+class SampleSource(Batches):
+    """Draws samples of one integrand at the shading points of one image.
+
+    Parameters
+    ----------
+    device, scene, tracer, points, integrand
+    sampler : {"independent", "sobol"}
+    seed : int
+    samples_per_point : int
+        Samples a point that `batches` leaves room for.
+    occluders : Occluders, optional
+        What decides visibility where it is known; by default embree decides all.
+    lines : bool
+        Whether samples at points whose occluders are known lie where lines see the lights.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        tracer: Tracer,
+        points: ShadingPoints,
+        integrand: Integrand,
+        sampler: str,
+        seed: int,
+        samples_per_point: int,
+        occluders: Occluders | None = None,
+        lines: bool = False,
+    ) -> None:
+        super().__init__(device, points, integrand.channels, samples_per_point)
+        self._tracer = tracer
+        self._seed = seed_words(seed)
+        self._data = HostArray.of(device, integrand.data(scene))
+        defines = {
+            **surface_defines(),
+            **sampler_defines(sampler),
+            **integrand.defines(scene),
+            **ray_defines(),
+            "SHAFTS": int(occluders is not None),
+            "LINES": int(lines and occluders is not None),
+            "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
+            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "WARPED": 0,
+        }
+        shaft: tuple[str, ...] = ()
+        self.occluders = occluders
+        self._occluders: list[object] = []
+        if occluders is not None:
+            shaft, defines = ("shaft",), {**defines, **occluders.defines()}
+            if lines:
+                shaft, defines = ("shaft", "lines"), {**defines, **line_defines()}
+            self._occluders = [occluders.stride, occluders.starts, occluders.lists, occluders.corners]
+        self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
+        files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
+        self._program = build(device, files, defines)
+        # Built when first asked for: most renders draw uniformly only, or by density only.
+        self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
+        capacity = self._capacity
+        self._origins = HostArray(device, (capacity, 3), np.float32)
+        self._directions = HostArray(device, (capacity, 3), np.float32)
+        self._distances = HostArray(device, capacity, np.float32)
+        self._ray_count = HostArray(device, 3, np.uint32)
+
+    def unshadowed_means(self) -> HostArray:
+        """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
+        active = self.points.active
+        means = HostArray(self.device, (self.channels, active), np.float32)
+        self._program.kernel("unshadowed_means")(
+            active,
+            active,
+            self.points.total,
+            Stream.UNSHADOWED,
+            *self._seed,
+            self.points.surface,
+            self._data,
+            means,
+        )
+        return means
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+    ) -> Batch:
+        """Sample points order[i], i in `points`, and trace what matters; see `parts` for how many.
+
+        Without an `order` these are the points themselves. With a `density` samples are drawn by it,
+        else uniformly. The batch is valid until the next call.
+        """
+        begun = time.perf_counter()
+        order = self._every_point if order is None else order
+        count = len(samples)
+        stride = self._stride_of(count)
+        self._ray_count.fill(0)
+        program, warp = self._program, []
+        if density is not None:
+            files = (*self._warped_files, *density.files, "samples")
+            program = build(self.device, files, self._warped_defines | density.defines)
+            warp = [density.records(order, points), self._weight]
+        program.kernel("draw_samples")(
+            len(points) * -(-stride // self._item_samples),
+            points.start,
+            len(points),
+            self.points.total,
+            samples.start,
+            count,
+            stride,
+            stream,
+            *self._seed,
+            order,
+            self.points.surface,
+            self._data,
+            *warp,
+            *self._occluders,
+            self._u,
+            self._v,
+            self._value,
+            self._slot,
+            self._origins,
+            self._directions,
+            self._distances,
+            self._ray_count,
+        )
+        rays, on_device, off_lines = self._ray_count.read().tolist()
+        started = time.perf_counter()
+        with (
+            self._origins.mapped(count=rays) as origins,
+            self._directions.mapped(count=rays) as directions,
+            self._distances.mapped(count=rays) as distances,
+            self._visible.mapped(write=True, count=rays) as visible,
+        ):
+            self._tracer.visible(origins, directions, distances, visible)
+        ended = time.perf_counter()
+        self.rays.trace_seconds += ended - started
+        self.rays.sample_seconds += started - begun
+        self.rays.traced += rays
+        self.rays.on_device += on_device
+        self.rays.off_lines += off_lines
+        self.rays.skipped += len(points) * count - rays - on_device
+        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        return Batch(points, order, count, stride, *arrays, *warp[1:])

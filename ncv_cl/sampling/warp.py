@@ -1,0 +1,84 @@
+"""Densities of the unit square that samples are drawn by, as warp.cl reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..opencl.device import HostArray
+
+# Cells an axis of a density.
+DENSITY_BINS = 8
+# Words of a record: two for the strips, and two for each strip's cells.
+DENSITY_WORDS = 2 * (DENSITY_BINS + 1)
+# What the probabilities of a row's bins are multiples of.
+EDGE_UNITS = 256
+
+
+def warp_defines() -> dict[str, int | str]:
+    """The `-D` constants of warp.cl."""
+    return {"DENSITY_BINS": DENSITY_BINS, "EDGE_UNITS": EDGE_UNITS}
+
+
+class Warp:
+    """A density that samples are drawn by.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Kernel files that define `warp_square`, DENSITY_WORDS and RECORD_NUMBER.
+    defines : dict
+        Their `-D` constants.
+    most_points : int or None
+        Points that a batch may have; None: any number.
+    """
+
+    files: tuple[str, ...]
+    defines: dict[str, int | str]
+    most_points: int | None = None
+
+    def records(self, order: HostArray, points: range) -> HostArray:
+        """What `warp_square` reads to draw samples of points order[i], i in `points`."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TableWarp(Warp):
+    """Density constant on each of DENSITY_BINS x DENSITY_BINS cells.
+
+    Attributes
+    ----------
+    table : HostArray
+        uint32 (points.active, DENSITY_WORDS), as warp.cl reads it.
+    """
+
+    table: HostArray
+    files: ClassVar[tuple[str, ...]] = ("warp",)
+    defines: ClassVar[dict[str, int | str]] = warp_defines()
+
+    def records(self, order: HostArray, points: range) -> HostArray:
+        return self.table
+
+
+def pack_records(probability: np.ndarray) -> np.ndarray:
+    """Records of warp.cl, uint32 (records, DENSITY_WORDS).
+
+    Parameters
+    ----------
+    probability : ndarray
+        (records, DENSITY_BINS²), of the cells, those of one strip in u after another; positive. Rounded
+        so that strips, and the cells of a strip, have multiples of 1 / EDGE_UNITS, none less than one.
+    """
+    cells = probability.reshape(-1, DENSITY_BINS, DENSITY_BINS)
+    rows = np.concatenate([cells.sum(2)[:, None], cells], axis=1)
+    sums = np.cumsum(rows, axis=2)
+    edges = np.rint(sums / sums[..., -1:] * EDGE_UNITS).astype(np.int64)
+    before = np.zeros(edges.shape[:2], np.int64)
+    words = np.zeros((*edges.shape[:2], 2), np.uint32)
+    for number in range(DENSITY_BINS - 1):
+        last = EDGE_UNITS - DENSITY_BINS + 1 + number
+        before = np.minimum(np.maximum(edges[..., number], before + 1), last)
+        words[..., number // 4] |= before.astype(np.uint32) << np.uint32(8 * (number % 4))
+    return words.reshape(-1, DENSITY_WORDS)

@@ -1,0 +1,1 @@
+"""Scenes: TOML and mesh files to triangles, materials, lights and a camera."""

@@ -1,0 +1,1 @@
+"""What a render is asked for, and the presets it may name."""
