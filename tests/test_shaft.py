@@ -153,4 +153,7 @@ def test_lists_are_shorter_where_memory_is_short(device, monkeypatch, words):
     full = sampling(device, scene, DirectLight(), (12, 10), 64, with_occluders=True)[1].occluders
     longer = [full.list_of(point) for point in range(len(lists)) if lists[point] is None]
     shortest = min(len(one) for one in longer)
-    assert shortest > lengths.max() and used + (shortest + 1) * sum(len(one) == shortest for one in longer) > words
+    assert (
+        shortest > lengths.max()
+        and used + (shortest + 1) * sum(len(one) == shortest for one in longer) > words
+    )

@@ -32,7 +32,6 @@
 /* Triangles looked at together: what is known of them is kept at hand. A multiple of VEC. */
 #define TRIANGLES_AT_HAND 64
 #define ITEM_SAMPLES (BLOCKS_A_ITEM * VEC)
-#define FAR_AWAY FLT_MAX
 /* Half-lines begin at most this many times as far from the middle as a light does. */
 #define STEEPEST 0x1.0p30f
 /* What rounding may move a shadow by, of the coordinates on the light that enter. */
@@ -50,13 +49,6 @@ typedef struct {
   float largest_x, largest_y;  /* on the light */
   real horizon[2][HALF_LINE];
 } LightLines;
-
-/* What is free of VEC lines: gaps from low to high, empty where low >= high, in any order. */
-typedef struct {
-  real low[MOST_GAPS], high[MOST_GAPS];
-  uint used;
-  whole refused;
-} Gaps;
 
 /* a x b, exactly the negative of b x a: no product may be fused into the difference. */
 triple exact_cross_triple(const triple a, const triple b) {
@@ -183,44 +175,6 @@ void blocked_parts(const LightLines *lines, global const uint *restrict own, con
       STORE(half_lines[row / HALF_LINE][row % HALF_LINE], parts + row * TRIANGLES_AT_HAND + block);
     STORE(range[0], parts + LEAST_X * TRIANGLES_AT_HAND + block);
     STORE(range[1], parts + LARGEST_X * TRIANGLES_AT_HAND + block);
-  }
-}
-
-/* Takes from the gaps what lies between `from` and `to`. */
-void cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
-  const real left_of = from - sliver;
-  const real right_of = to + sliver;
-  const uint used = gaps->used;
-  whole split = (whole)0;
-  real end = (real)0.0f;
-  for (uint k = 0; k < used; ++k) {
-    const real low = gaps->low[k];
-    const real high = gaps->high[k];
-    const whole hit = (from < high) && (to > low);
-    if (!ANY(hit)) continue;
-    const whole left = hit && (left_of > low);
-    const whole right = hit && (right_of < high);
-    end = SELECT(end, high, left && right);
-    split = split || (left && right);
-    gaps->low[k] = SELECT(low, SELECT(high, to, right), hit && !left);
-    gaps->high[k] = SELECT(high, from, left);
-  }
-  /* Cut in two: the second half takes the first place that is empty. At most one gap of a line is. */
-  for (uint k = 0; ANY(split); ++k) {
-    if (k == MOST_GAPS) {
-      gaps->refused = gaps->refused || split;
-      return;
-    }
-    whole here = split;
-    if (k < used) {
-      here = here && (gaps->low[k] >= gaps->high[k]);
-    } else {
-      gaps->low[k] = gaps->high[k] = (real)0.0f;
-      gaps->used = k + 1;
-    }
-    gaps->low[k] = SELECT(gaps->low[k], to, here);
-    gaps->high[k] = SELECT(gaps->high[k], end, here);
-    split = split && !here;
   }
 }
 

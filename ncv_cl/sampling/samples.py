@@ -192,7 +192,7 @@ class SampleSource(Batches):
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
             if lines:
-                shaft, defines = ("shaft", "lines"), {**defines, **line_defines()}
+                shaft, defines = ("shaft", "gaps", "lines"), {**defines, **line_defines()}
             self._occluders = [occluders.stride, occluders.starts, occluders.lists, occluders.corners]
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")

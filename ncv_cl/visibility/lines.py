@@ -15,4 +15,8 @@ SORTED_FROM = 12
 
 def line_defines() -> dict[str, str]:
     """The `-D` constants of lines.cl, beside those of shaft.cl."""
-    return {"MOST_GAPS": f"{MOST_GAPS}u", "SORTED_FROM": f"{SORTED_FROM}u", "BLOCKS_A_ITEM": f"{LINE_BLOCKS}u"}
+    return {
+        "MOST_GAPS": f"{MOST_GAPS}u",
+        "SORTED_FROM": f"{SORTED_FROM}u",
+        "BLOCKS_A_ITEM": f"{LINE_BLOCKS}u",
+    }

@@ -12,8 +12,8 @@ from ..scene.load import Scene
 
 # Children of a box.
 BRANCH = 16
-# Triangles that are tested at most, fewer where all lists together do not fit their memory; points that have
-# more in their shafts leave their rays to embree.
+# Triangles that are tested at most, fewer where all lists together do not fit their memory; points that
+# have more in their shafts leave their rays to embree.
 MOST_OCCLUDERS = 63
 MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
@@ -117,7 +117,7 @@ class Occluders:
         return np.minimum(self._lengths[chosen], 2 * self._most)
 
     def list_of(self, point: int) -> np.ndarray | None:
-        """The triangles, rows of `corners`, that can shade a point, uint32; None where they are too many."""
+        """The triangles, columns of `corners`, that can shade a point, uint32; None: too many."""
         if self._lengths[point] == TOO_MANY:
             return None
         first = int(self.starts.read()[point]) + 1
