@@ -210,7 +210,7 @@ void begin_block(const LightLines *lines, const real along, const whole here, Bl
 /* Cuts from VEC lines what `count` triangles block. */
 void cut_block(const float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND], const uint count, Block *block) {
   const real x = block->x;
-  for (uint first = 0; first < count; first += VEC) {
+  for (uint first = 0; first < count && block->gaps.used > 0; first += VEC) {
     const whole near = (LOAD(parts + LEAST_X * TRIANGLES_AT_HAND + first) <= block->largest_x) &&
                        (LOAD(parts + LARGEST_X * TRIANGLES_AT_HAND + first) >= block->least_x);
     if (!ANY(near)) continue;
@@ -226,8 +226,7 @@ void cut_block(const float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND], const uint 
         to = min(to, FMA((real)part[3 * TRIANGLES_AT_HAND], x, (real)part[2 * TRIANGLES_AT_HAND]));
         part += HALF_LINE * TRIANGLES_AT_HAND;
       }
-      const whole blocks = from < to;
-      if (ANY(blocks)) cut_gaps(&block->gaps, SELECT((real)FAR_AWAY, from, blocks), to, block->sliver);
+      cut_gaps(&block->gaps, from, to, block->sliver);
     }
   }
 }
