@@ -103,7 +103,11 @@ def render_everything(device: Device, folder: Path) -> None:
             preset=preset,
             device=device,
         )
-    render(scene, "ao", "ncv", spp=2, train_spp=1, size=(4, 4), density="subdivision", device=device)
+    options = {"spp": 2, "train_spp": 1, "size": (4, 4), "device": device}
+    render(scene, "ao", "ncv", density="subdivision", **options)
+    for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
+        scene.write_text(text, encoding="utf-8")
+        render(scene, "direct", "ncv", density=density, visibility="lines", **options)
 
 
 def estimate_everything(device: Device) -> None:

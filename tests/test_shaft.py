@@ -146,7 +146,7 @@ def test_lists_are_shorter_where_memory_is_short(device, monkeypatch, words):
     lists = [source.occluders.list_of(point) for point in range(source.points.active)]
     lengths = np.array([len(one) for one in lists if one is not None])
     assert source.occluders.unknown == len(lists) - len(lengths) > 0
-    used = len(COMMON_LISTS) + (lengths[lengths > 0] + 1).sum()
+    used = COMMON_LISTS + (lengths[lengths > 0] + 1).sum()
     assert used <= words
     # The next longer ones would not have fitted.
     monkeypatch.undo()

@@ -174,6 +174,10 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
     }
   }
   lengths[point] = count;
+  if (point == 0) {
+    occluders[0] = TOO_MANY;
+    occluders[1] = 0u;
+  }
   starts[point] = count == TOO_MANY ? 0u : 1u;
   if (count == TOO_MANY || count == 0) return;
   const uint start = atomic_add(cursor, count + 1);

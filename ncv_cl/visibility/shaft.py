@@ -17,8 +17,8 @@ BRANCH = 16
 MOST_OCCLUDERS = 63
 MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
-# The lists of points that have too many, and of those that have none.
-COMMON_LISTS = (TOO_MANY, 0)
+# The lists of all points that have too many, and of all that have none.
+COMMON_LISTS = 2
 # Blocks of VEC rays of one point that one work-item draws and tests.
 BLOCKS_A_ITEM = 4
 # What rounding moves corners and planes by, of the largest coordinate.
@@ -64,7 +64,7 @@ class Occluders:
         boxes = HostArray.of(device, rows)
         # No triangle is listed twice.
         self._most = self._room = most
-        words = len(COMMON_LISTS) + points.active * (min(most, len(corners)) + 1)
+        words = COMMON_LISTS + points.active * (min(most, len(corners)) + 1)
         self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
         self.starts = HostArray(device, points.active, np.uint32)
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
@@ -74,9 +74,7 @@ class Occluders:
         lengths = HostArray(device, points.active, np.uint32)
         cursor = HostArray(device, 1, np.uint32)
         while True:
-            with self.lists.mapped(update=True, count=len(COMMON_LISTS)) as heads:
-                heads[:] = COMMON_LISTS
-            cursor.fill(len(COMMON_LISTS))
+            cursor.fill(COMMON_LISTS)
             find(
                 points.active,
                 points.active,
@@ -102,7 +100,7 @@ class Occluders:
                 cursor,
             )
             self._lengths = lengths.read()
-            fitting = _longest_that_fits(self._lengths, self.lists.shape[0] - len(COMMON_LISTS))
+            fitting = _longest_that_fits(self._lengths, self.lists.shape[0] - COMMON_LISTS)
             if fitting is None:
                 return
             self._most = fitting
