@@ -29,9 +29,9 @@ from bench_curves import stages
 from crossover import Curve, crossover
 
 import ncv_cl as ncv
+from ncv_cl.host.clock import Run
 from ncv_cl.integrands import GlobalIllumination
 from ncv_cl.learning.learn import learn
-from ncv_cl.network.encode import GridCube, varying_inputs
 from ncv_cl.network.network import FoldedNetwork
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
@@ -41,7 +41,9 @@ from ncv_cl.points.trace import Hits, Tracer
 from ncv_cl.rendering.split import render_split
 from ncv_cl.sampling.accumulate import Accumulator
 from ncv_cl.sampling.paths import PathSource
-from ncv_cl.settings.settings import RenderSettings, Stopwatch
+from ncv_cl.sampling.problem import Problem
+from ncv_cl.settings.options import Sampling, Training
+from ncv_cl.settings.settings import Settings
 from ncv_cl.visibility.shaft import Occluders
 
 SCENES = Path(__file__).parent.parent / "scenes"
@@ -201,15 +203,14 @@ def finding(case: Case, train_spp: int, preset: str, samples: int) -> dict[str, 
     All are means over points and channels of single, independent samples' squares.
     """
     tracer, device = Tracer(case.scene), case.device
-    integrand = GlobalIllumination()
-    settings = RenderSettings(
-        integrand, "ncv", "independent", samples, train_spp, case.size, 1, 1, preset
+    integrand, training = GlobalIllumination(), Training(preset=preset, train_spp=train_spp)
+    settings = Settings(
+        integrand, "ncv", samples, case.size, 1, Sampling(sampler="independent"), training
     )
     source = case.source(tracer, "independent", samples)
     points = source.points
-    inputs = varying_inputs(points, integrand.inputs)
-    cube = GridCube.around(case.scene.world_bounds)
-    learned = learn(device, cube, source, settings, inputs, lambda _: None, Stopwatch(), lambda: False)
+    problem = Problem(device, points, source, case.scene.world_bounds, integrand.inputs)
+    learned = learn(problem, settings, Run())
     if learned.network is None:
         raise SystemExit(f"{case.scene.name}: training diverged")
     accumulator = Accumulator(device, points, 3, FoldedNetwork(device, learned.network, points))

@@ -213,7 +213,7 @@ class HighWater:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """While the block lasts, stages that a `Stopwatch` times are watched."""
-        from ncv_cl.settings.settings import Stopwatch
+        from ncv_cl.host.clock import Stopwatch
 
         timed = Stopwatch.__call__
         watch = self
@@ -288,8 +288,8 @@ def spheres(count: int, subdivisions: int) -> object:
     return Scene(
         name=f"{ball_count} triangles",
         path=None,
-        camera=Camera(*(np.array(v, float) for v in ((0, 6, 10), (0, 0.5, 0), (0, 1, 0))), 45.0),
-        materials=(Material("grey", *colours, 1.0), Material("light", black, black, 1.0)),
+        camera=Camera(*(np.array(v, float) for v in ((0, 6, 10), (0, 0.5, 0))), 45.0),
+        materials=(Material(*colours, name="grey"), Material(black, name="light")),
         lights=(QuadLight(*single, np.full(3, 8, np.float32), False),),
         vertices=np.concatenate([balls, flat_ones]).astype(np.float32),
         vertex_normals=np.concatenate([normals, np.zeros_like(flat_ones)]).astype(np.float32),

@@ -12,28 +12,43 @@ from .integration.subdivide import Subdivision, draw_subdivision, subdivide
 from .network.network import Network, NetworkError
 from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
+from .opencl.program import KernelText
 from .output.image import Image
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
 from .rendering.split import render_split
-from .scene.load import Material, Scene, SceneError, load_scene
+from .scene.build import build_scene
+from .scene.load import load_scene
+from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .scene.table import SceneError
+from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
     "AmbientOcclusion",
+    "Camera",
     "Device",
     "DeviceError",
     "DirectLight",
+    "Files",
     "GlobalIllumination",
     "Image",
     "Integrals",
     "Integrand",
     "IntegrandError",
+    "KernelText",
+    "Machine",
     "Material",
     "Network",
     "NetworkError",
+    "QuadLight",
+    "Sampling",
     "Scene",
     "SceneError",
+    "Stopping",
     "Subdivision",
+    "Training",
+    "TriangleMesh",
+    "build_scene",
     "choose_device",
     "devices",
     "draw_subdivision",

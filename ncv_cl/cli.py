@@ -16,21 +16,22 @@ import numpy as np
 from .host.console import EXPECTED, complain, one_line, run, say, summary
 from .host.files import check_paths, read_arrays, write_whole
 from .host.interrupt import StopOnSignal
+from .host.version import package_version
 from .integrands import INTEGRANDS, AmbientOcclusion, GlobalIllumination, Integrand
 from .integrands.ao import MAPPINGS
+from .integrands.named import named_integrand
 from .integration.certificate import PRECISIONS
 from .integration.integrate import integrate
 from .integration.integrator import METHODS as INTEGRATION_METHODS
 from .integration.subdivide import draw_subdivision, subdivide
 from .opencl.choose import devices
-from .output.image import Image, check_output_path, read_reference
-from .output.report import package_version
-from .points.sampler import SAMPLERS
+from .output.image import Image, check_output_path
 from .rendering.render import render
 from .rendering.split import render_split
 from .scene.load import load_scene
-from .settings.presets import PRESETS
-from .settings.settings import ALLOCATIONS, DENSITIES, METHODS, VISIBILITIES
+from .settings.arguments import add_arguments, read_arguments
+from .settings.options import GROUPS
+from .settings.settings import METHODS
 
 # Beside the package in a checkout and in an editable install.
 _BENCH = Path(__file__).parent.parent / "bench"
@@ -51,62 +52,66 @@ def _parser() -> argparse.ArgumentParser:
     _add_render(commands)
     _add_subdivide(commands)
     _add_integrate(commands)
-    listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they infer")
+    listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they are")
     listing.set_defaults(command=_devices)
     _add_bench(commands)
     return parser
+
+
+class _Help(argparse.HelpFormatter):
+    """Says defaults, where there are any."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, argparse.SUPPRESS) or action.required or action.nargs == 0:
+            return action.help
+        default = (
+            "x".join(map(str, action.default)) if isinstance(action.default, tuple) else "%(default)s"
+        )
+        return f"{action.help} (default: {default})"
 
 
 def _add_render(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser(
         "render",
         help="render a scene",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=_Help,
     )
     add = parser.add_argument
     add("scene", help="scene file (.toml)")
-    add("--integrand", choices=sorted(INTEGRANDS), default="direct", help="what to integrate")
+    add(
+        "--integrand",
+        type=_integrand_name,
+        default="direct",
+        metavar="NAME",
+        help=f"what to integrate: {', '.join(sorted(INTEGRANDS))}, or your own class, FILE.py:CLASS",
+    )
     add(
         "--method",
         choices=METHODS,
         default="auto",
-        help="neural control variate, Monte Carlo, or what a first pass predicts to be faster",
+        help="neural control variate, Monte Carlo, or by a rule what reaches an error sooner",
     )
-    add("--sampler", choices=SAMPLERS, default="sobol", help="points of the unit square")
     add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
-    add(
-        "--train-spp",
-        type=_train_spp,
-        default="auto",
-        metavar="M",
-        help="training samples a shading point on average, may be fractional; auto: while they pay",
-    )
-    add("--preset", choices=PRESETS, default="default", help="network and training schedule")
-    add("--density", choices=DENSITIES, help="sampling of the residual (default: the preset's)")
-    add("--allocation", choices=ALLOCATIONS, help="samples over the image (default: the preset's)")
-    add("--target-mse", type=float, metavar="E", help="end at this mean square error (spp: the most)")
-    add("--time-limit", type=float, metavar="S", help="end within so many seconds (spp: the most)")
-    add(
-        "--no-skip-dark",
-        dest="skip_dark",
-        action="store_false",
-        help="compute also the zeros of points that face away from every light",
-    )
-    add(
-        "--visibility",
-        choices=VISIBILITIES,
-        default="auto",
-        help="test shadow rays that few triangles can block on the device, or none",
-    )
-    add("--network", metavar="FILE", help="a network to use instead of training one (.npz)")
-    add("--save-network", metavar="FILE", help="write the trained network here (.npz)")
-    add("--checkpoint", metavar="FILE", help="write what there is after every pass here")
-    add("--resume", metavar="FILE", help="go on from a checkpoint of the same render")
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
-    add("--supersample", type=int, default=1, metavar="K", help="K x K shading points a pixel")
     add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
     add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
-    add("--threads", type=int, metavar="T", help="host threads that trace rays (default: all cores)")
+    add(
+        "-o",
+        "--output",
+        action="append",
+        required=True,
+        metavar="FILE",
+        help=".exr or .png; repeatable",
+    )
+    add("--json", metavar="FILE", help="write the statistics here")
+    _add_integrand_options(parser)
+    for group in GROUPS.values():
+        add_arguments(parser, group)
+    parser.set_defaults(command=_render)
+
+
+def _add_integrand_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument_group("options of integrands").add_argument
     add("--radius", type=float, help="ambient occlusion: farthest occluder (default: any)")
     add("--mapping", choices=MAPPINGS, help="ambient occlusion: hemisphere mapping (default: height)")
     add(
@@ -118,17 +123,6 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         help="global illumination: direct light as an integral of its own",
     )
     add("--clamp", type=float, metavar="L", help="global illumination: most that a path brings (biased)")
-    add(
-        "-o",
-        "--output",
-        action="append",
-        required=True,
-        metavar="FILE",
-        help=".exr or .png; repeatable",
-    )
-    add("--json", metavar="FILE", help="write the statistics here")
-    add("--reference", metavar="FILE", help="image to measure the error against")
-    parser.set_defaults(command=_render)
 
 
 _LAYERS_HELP = "arrays weights0, biases0, weights1, ... of a ReLU network of (u, v) (.npz)"
@@ -233,13 +227,13 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _train_spp(text: str) -> float | str:
-    if text == "auto":
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"expected a number or auto, got {text!r}") from None
+def _integrand_name(text: str) -> str:
+    if text not in INTEGRANDS and ":" not in text:
+        known = ", ".join(sorted(INTEGRANDS))
+        raise argparse.ArgumentTypeError(
+            f"invalid choice: {text!r} (choose from {known}, or a class of your own, FILE.py:CLASS)"
+        )
+    return text
 
 
 def _integrand(options: argparse.Namespace) -> Integrand:
@@ -248,7 +242,7 @@ def _integrand(options: argparse.Namespace) -> Integrand:
         return AmbientOcclusion(**{k: v for k, v in given.items() if v is not None})
     if options.integrand == GlobalIllumination.name:
         return GlobalIllumination(options.max_depth, clamp=options.clamp)
-    return INTEGRANDS[options.integrand]()
+    return named_integrand(options.integrand)
 
 
 def _check_render(options: argparse.Namespace) -> None:
@@ -278,34 +272,18 @@ def _render(options: argparse.Namespace) -> int:
 
 
 def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
-    width, height = options.size
-    reference = read_reference(options.reference, (height, width)) if options.reference else None
+    chosen = [read_arguments(options, group) for group in GROUPS.values()]
     image = (render_split if options.split_direct else render)(
         load_scene(options.scene),
         _integrand(options),
         method=options.method,
-        sampler=options.sampler,
         spp=options.spp,
-        train_spp=options.train_spp,
         size=options.size,
-        supersample=options.supersample,
         seed=options.seed,
-        preset=options.preset,
-        density=options.density,
-        allocation=options.allocation,
-        target_mse=options.target_mse,
-        time_limit=options.time_limit,
-        skip_dark=options.skip_dark,
-        visibility=options.visibility,
-        network=options.network,
-        save_network=options.save_network,
-        checkpoint=options.checkpoint,
-        resume=options.resume,
         device=options.device,
-        threads=options.threads,
-        reference=reference,
         progress=True,
         stop=stop,
+        **{name: value for group in chosen for name, value in group.items()},
     )
     failed = _write_all(image, options)
     if stop.asked:

@@ -6,6 +6,8 @@ Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBI
 import sys
 from dataclasses import replace
 
+from fitting import fitting
+
 from ncv_cl import render
 from ncv_cl.learning import learn
 from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
@@ -59,14 +61,11 @@ def main(
     image = render(
         scene,
         integrand,
-        method,
-        sampler,
         spp=4,
-        train_spp=2,
         size=(4, 4),
-        density=density,
-        visibility=visibility,
         device=device,
+        visibility=visibility,
+        **fitting(method, sampler=sampler, train_spp=2, density=density),
     )
     print(f"{device.name}: {image.stats['points']} points, mean {float(image.pixels.mean())!r}")
 

@@ -18,6 +18,7 @@ from ncv_cl.sampling.paths import sample_source
 from ncv_cl.sampling.samples import SEEN, Batch, SampleSource
 from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
 from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
+from ncv_cl.settings.settings import Settings
 from ncv_cl.visibility.lines import MOST_ON_LINES
 from ncv_cl.visibility.shaft import MOST_OCCLUDERS, Occluders
 
@@ -192,13 +193,13 @@ def polygon_irradiance(corners: np.ndarray, position: np.ndarray, normal: np.nda
 
 
 def camera_at(position: object, target: object, fov: float = 40.0, up: object = (0, 1, 0)) -> Camera:
-    vectors = (np.asarray(vector, np.float64) for vector in (position, target, up))
-    return Camera(*vectors, fov)
+    position, target, up = (np.asarray(vector, np.float64) for vector in (position, target, up))
+    return Camera(position, target, fov, up=up)
 
 
 def grey(albedo: object = 0.5, reflectance: object = 0.0, roughness: float = 1.0) -> Material:
     colours = (np.array(np.broadcast_to(colour, 3), np.float32) for colour in (albedo, reflectance))
-    return Material("grey", *colours, roughness)
+    return Material(*colours, roughness, name="grey")
 
 
 def light_at(corner: object, edge1: object, edge2: object, radiance: object = 1.0, two_sided=False):
@@ -362,7 +363,8 @@ def render_plain(
         for part in source_.batches():
             accumulator.add(source_.draw(part, samples, 0))
         accumulator.finish_pass(len(samples))
-    return resolve_image(scene, integrand, points, size, 1, accumulator.result()), points
+    settings = Settings(integrand, "mc", spp, size, seed)
+    return resolve_image(scene, settings, points, accumulator.result()), points
 
 
 def bare_kernel(device: Device, files: tuple[str, ...], defines: dict, text: str, name: str) -> Kernel:

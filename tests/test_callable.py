@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from fitting import fitting
 from scipy import stats
 
 import ncv_cl as ncv
@@ -173,7 +174,7 @@ def test_features_far_from_zero_are_told_apart(one_device, shift, scale):
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 @pytest.mark.parametrize("sampler", ["sobol", "independent"])
 def test_one_sample_has_no_variance(one_device, method, sampler):
-    options = {"method": method, "sampler": sampler, "spp": 1, "allocation": "uniform"}
-    found = ncv.estimate(disks, POINTS, RADII[:, None], train_spp=4, device=one_device, **options)
+    options = fitting(method, sampler=sampler, spp=1, allocation="uniform", train_spp=4)
+    found = ncv.estimate(disks, POINTS, RADII[:, None], device=one_device, **options)
     assert np.isfinite(found.mean).all() and np.isnan(found.variance).all()
     json.dumps(found.stats, allow_nan=False)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fitting import fitting
 from test_determinism import assert_same_bits
 
 import ncv_cl
@@ -19,7 +20,7 @@ from ncv_cl import render
 from ncv_cl.output import report
 from ncv_cl.output.checkpoint import Checkpoint, CheckpointError
 
-OPTIONS = {"spp": 96, "train_spp": 4, "size": (12, 10), "seed": 3}
+OPTIONS = {"spp": 96, "size": (12, 10), "seed": 3}
 CASES = [
     {"method": "mc"},
     {"method": "mc", "sampler": "independent"},
@@ -33,13 +34,12 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def short_passes(monkeypatch):
-    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 16)
-    # "auto" asks a first pass however small the image is.
-    monkeypatch.setattr("ncv_cl.estimation.auto.LONGEST_SAMPLE", np.inf)
+    monkeypatch.setattr("ncv_cl.estimation.passes.SAMPLES_A_PASS", 16)
 
 
 def picture(scenes, device, **options):
-    return render(scenes / "cornell_box.toml", "direct", device=device, **{**OPTIONS, **options})
+    chosen = fitting(**{"method": "ncv", "train_spp": 4, **OPTIONS, **options})
+    return render(scenes / "cornell_box.toml", "direct", device=device, **chosen)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(case.values()))

@@ -1,8 +1,7 @@
-"""Choosing a device by rules, what is said without one, and the cached micro-benchmark."""
+"""Choosing a device by rules, what is said without one, and a list of all with their speeds."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -16,33 +15,17 @@ import pytest
 from ncv_cl.opencl import choose, probe
 from ncv_cl.opencl.choose import all_devices, choose_device, devices
 from ncv_cl.opencl.device import Device, DeviceError, prefers_fma
-from ncv_cl.opencl.probe import Probe, cached_probe
+from ncv_cl.opencl.probe import Probe
 
 ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(autouse=True)
-def measured(tmp_path, monkeypatch):
-    """An empty cache folder, no wishes from outside, and a benchmark that only counts its calls."""
-    calls = []
-
-    def count(device):
-        calls.append(device.index)
-        # Not what the rules say, so that a choice by the clock would show.
-        return Probe(100.0 + device.index, use_fma=device.use_fma)
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+def alone(monkeypatch):
+    """No wishes from outside, and a benchmark that takes no time."""
     for variable in (choose.VARIABLE, "PYOPENCL_CTX"):
         monkeypatch.delenv(variable, raising=False)
-    for module in (probe, choose):
-        monkeypatch.setattr(module, "measure", count)
-    monkeypatch.setattr(probe, "_measured", {})
-    return calls
-
-
-def forget():
-    """As a new process has it."""
-    probe._measured.clear()
+    monkeypatch.setattr(choose, "measure", lambda device: Probe(100.0 + device.index))
 
 
 def stand_in(platform="Portable Computing Language", version="", kind=cl.device_type.CPU, fma=True):
@@ -50,10 +33,6 @@ def stand_in(platform="Portable Computing Language", version="", kind=cl.device_
     config = cl.device_fp_config.FMA if fma else cl.device_fp_config.DENORM
     runtime = SimpleNamespace(name=platform, version=version)
     return Mock(platform=runtime, type=kind, single_fp_config=config, version="")
-
-
-def cache_file(tmp_path: Path) -> Path:
-    return tmp_path / "ncv_cl" / "probe.json"
 
 
 def test_every_device_is_chosen_by_its_index():
@@ -160,64 +139,13 @@ def test_what_is_chosen_is_compiled_by_the_rule():
         assert ("fma" if chosen.use_fma else "multiply-add") in chosen.describe()
 
 
-def test_the_benchmark_is_cached_for_each_device_and_driver(tmp_path, measured):
-    found = all_devices()
-    first = [cached_probe(device) for device in found]
-    assert len(measured) == len(found)
-    assert [cached_probe(device) for device in found] == first
-    forget()
-    assert [cached_probe(device) for device in found] == first
-    assert len(measured) == len(found)
-    known = json.loads(cache_file(tmp_path).read_text())
-    assert len(known) == len(found)
-    for device in found:
-        assert any(device.identity in key for key in known)
-    assert os.listdir(tmp_path / "ncv_cl") == ["probe.json"], "no temporary file stays"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "{", "[]", "null", "3", '{"KEY": 1}', '{"KEY": {"old": 1}}',
-        '{"KEY": {"nanoseconds": NaN, "use_fma": FMA}}',
-        '{"KEY": {"nanoseconds": 1.0, "use_fma": OTHER}}',
-    ],
-)  # fmt: skip
-def test_a_damaged_cache_is_measured_again(tmp_path, measured, one_device, text):
-    cached_probe(one_device)
-    (key,) = json.loads(cache_file(tmp_path).read_text())
-    for name, value in (
-        ("KEY", key.replace("\\", "\\\\")),
-        ("FMA", json.dumps(one_device.use_fma)),
-        ("OTHER", json.dumps(not one_device.use_fma)),
-    ):
-        text = text.replace(name, value)
-    cache_file(tmp_path).write_text(text)
-    expected = Probe(100.0 + one_device.index, one_device.use_fma)
-    for _ in range(2):
-        forget()
-        assert cached_probe(one_device) == expected
-        assert len(measured) == 2
-
-
-@pytest.mark.parametrize("home", ["a file", None])
-def test_a_cache_that_cannot_be_written_is_measured_once_a_process(
-    tmp_path, monkeypatch, measured, one_device, home
-):
-    (tmp_path / "a file").write_text("in the way")
-    monkeypatch.setattr(probe, "cache_folder", lambda name: home and tmp_path / home)
-    for _ in range(2):
-        assert cached_probe(one_device).nanoseconds == 100.0 + one_device.index
-    assert len(measured) == 1
-
-
 def test_devices_prints_one_line_each_with_its_benchmark():
     reports = devices()
     lines = str(reports).splitlines()
     assert len(lines) == len(reports) == len(choose._listed())
     for line, device in zip(lines, choose._listed(), strict=True):
         assert line.startswith(device.describe())
-        assert ("ns a sample" if device in all_devices() else "not used: ") in line
+        assert ("multiply-adds a second" if device in all_devices() else "not used: ") in line
     assert repr(reports) == str(reports)
 
 
@@ -234,8 +162,6 @@ def test_without_any_opencl_the_error_says_what_to_install(tmp_path):
     assert run.returncode == 0 and "Traceback" not in run.stderr
 
 
-def test_the_real_benchmark_measures_a_time(monkeypatch, one_device):
-    monkeypatch.undo()
-    monkeypatch.setattr(probe, "_SECONDS", 0.0)
-    measured = probe.measure(one_device)
-    assert 0 < measured.nanoseconds < 1e6
+def test_the_real_benchmark_measures_a_speed(monkeypatch, device):
+    monkeypatch.setattr(probe, "SECONDS", 0.0)
+    assert 0 < probe.measure(device).multiply_adds < 1e6

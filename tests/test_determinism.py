@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fitting import fitting
 
 from ncv_cl import render
 from ncv_cl.integrands import INTEGRANDS
@@ -16,7 +17,7 @@ SIZE = (16, 12)
 
 def picture(scenes, device, scene="cornell_box", method="ncv", integrand="direct", **options):
     options = {"spp": 8, "train_spp": 4, "size": SIZE, "seed": 3, **options}
-    return render(scenes / f"{scene}.toml", integrand, method, device=device, **options)
+    return render(scenes / f"{scene}.toml", integrand, device=device, **fitting(method, **options))
 
 
 def layers(image):

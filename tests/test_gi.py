@@ -22,8 +22,10 @@ CAMERA = camera_at([0.1, 0.2, 0.4], [-0.3, -0.4, -1], 60)
 
 
 def glowing(albedo, emission, reflectance=0.0, roughness=1.0):
-    colours = (np.array(np.broadcast_to(c, 3), np.float32) for c in (albedo, reflectance))
-    return Material("glowing", *colours, roughness, np.array(np.broadcast_to(emission, 3), np.float32))
+    albedo, reflectance, emission = (
+        np.array(np.broadcast_to(c, 3), np.float32) for c in (albedo, reflectance, emission)
+    )
+    return Material(albedo, reflectance, roughness, emission, name="glowing")
 
 
 def closed_box(material, lights=()):
@@ -54,7 +56,14 @@ def test_roulette_leaves_a_furnace_as_bright_as_it_is(device, depth, sampler):
     scene = closed_box(glowing(ALBEDO, EMISSION))
     images = [
         render(
-            scene, GlobalIllumination(depth), "mc", sampler, spp=256, size=(8, 8), seed=s, device=device
+            scene,
+            GlobalIllumination(depth),
+            "mc",
+            sampler=sampler,
+            spp=256,
+            size=(8, 8),
+            seed=s,
+            device=device,
         )
         for s in range(3)
     ]
@@ -179,9 +188,17 @@ def test_light_and_its_double_of_quads_agree(device):
 @pytest.mark.parametrize("sampler", ["independent", "sobol"])
 def test_control_variate_and_plain_monte_carlo_agree(device, sampler):
     scene, integrand = room(GLOSSY), GlobalIllumination(6)
-    plain = render(scene, integrand, "mc", sampler, spp=256, size=(10, 8), seed=1, device=device)
+    plain = render(scene, integrand, "mc", sampler=sampler, spp=256, size=(10, 8), seed=1, device=device)
     other = render(
-        scene, integrand, "ncv", sampler, spp=128, train_spp=16, size=(10, 8), seed=2, device=device
+        scene,
+        integrand,
+        "ncv",
+        sampler=sampler,
+        spp=128,
+        train_spp=16,
+        size=(10, 8),
+        seed=2,
+        device=device,
     )
     assert "G" in other.layers
     z = (plain.pixels - other.pixels) / np.sqrt(plain.variance + other.variance + 1e-12)

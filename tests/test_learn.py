@@ -11,16 +11,19 @@ from test_determinism import assert_same_bits
 from test_network import knot_points, random_network
 
 from ncv_cl import render
+from ncv_cl.host.clock import Run
 from ncv_cl.integrands import DirectLight
 from ncv_cl.learning import budget, learn
 from ncv_cl.learning.budget import MOST_SAMPLES, TRAINING_PASS, Round, pays, plan
 from ncv_cl.learning.held_out import HeldOut
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
-from ncv_cl.rendering.estimate import _points_of
+from ncv_cl.rendering.estimate import UNIT_CUBE, _points_of
 from ncv_cl.sampling.callable import CallableSource, HostIntegrand
+from ncv_cl.sampling.problem import Problem
 from ncv_cl.sampling.samples import NO_RAY, SEEN, SampleSource
-from ncv_cl.settings.settings import RenderSettings, Stopwatch
+from ncv_cl.settings.options import Training
+from ncv_cl.settings.settings import Settings
 
 # (points, samples each): large, small, few samples, many, and too few points to hold any out.
 SIZES = [
@@ -58,9 +61,8 @@ def test_no_sample_is_drawn_twice_and_held_out_points_are_in_no_round(active, sp
 )
 def test_points_that_are_trained_on_are_chosen_once(active, train_spp):
     for seed in range(20):
-        settings = RenderSettings(
-            DirectLight(), "ncv", "sobol", 64, train_spp, (active, 1), 1, seed, "default"
-        )
+        training = Training(train_spp=train_spp)
+        settings = Settings(DirectLight(), "ncv", 64, (active, 1), seed, training=training)
         chosen, _ = settings.training_points(active, TRAINING_PASS, 1 << 19)
         assert len(np.unique(chosen)) == len(chosen) and chosen.max() < active
 
@@ -158,14 +160,11 @@ def short_rounds(monkeypatch):
 
 def trained(device, function, spp, seed=0):
     """What is learned of a function of POINTS points."""
-    settings = RenderSettings(
-        HostIntegrand(1), "ncv", "sobol", spp, "auto", (POINTS, 1), 1, seed, "default"
-    )
-    points, cube = _points_of(device, POINTS, FREQUENCIES[:, None])
+    settings = Settings(HostIntegrand(1), "ncv", spp, (POINTS, 1), seed)
+    points = _points_of(device, POINTS, FREQUENCIES[:, None])
     source = CallableSource(device, points, function, 1, "sobol", seed)
-    return learn.learn(
-        device, cube, source, settings, ("position",), lambda _: None, Stopwatch(), lambda: False
-    )
+    problem = Problem(device, points, source, UNIT_CUBE, ("position",), is_image=False)
+    return learn.learn(problem, settings, Run())
 
 
 def test_training_goes_on_while_it_pays(one_device, short_rounds):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from fitting import fitting
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import (
@@ -297,11 +298,11 @@ def test_all_vector_widths_draw_the_same(one_device):
 
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_a_picture_by_lines_traces_no_shadow_ray(device, scenes, method):
-    options = {"spp": 32, "train_spp": 4, "size": (24, 24), "device": device}
+    options = {"spp": 32, "size": (24, 24), "device": device, **fitting(method, train_spp=4)}
     scene = scenes / "cornell_box.toml"
-    image = render(scene, "direct", method, visibility="lines", **options)
-    again = render(scene, "direct", method, visibility="lines", **options)
-    points = render(scene, "direct", method, visibility="embree", **options)
+    image = render(scene, "direct", visibility="lines", **options)
+    again = render(scene, "direct", visibility="lines", **options)
+    points = render(scene, "direct", visibility="embree", **options)
     assert image.stats["rays_traced"] == 0 < points.stats["rays_traced"]
     np.testing.assert_array_equal(image.pixels, again.pixels)
     assert 0 < np.abs(image.pixels - points.pixels).max() < 0.1

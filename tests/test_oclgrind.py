@@ -62,6 +62,8 @@ def simulate(log: Path, *command: str | Path) -> str:
         *itertools.product(sorted(set(INTEGRANDS) - {"gi"}), ("mc", "ncv"), SAMPLERS),
         # Paths take the simulator minutes, and differ in their sampler as the others do.
         ("gi", "ncv", "sobol"),
+        # One from outside the package.
+        (f"{PROGRAM.parents[1] / 'examples' / 'my_integrand' / 'sky.py'}:Sky", "mc", "sobol"),
     ],
 )
 def test_simulator_finds_no_fault_in_a_render(integrand, method, sampler, vec, lanes, scenes, tmp_path):

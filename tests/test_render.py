@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from ncv_cl.integrands import IntegrandError
 from ncv_cl.output.report import about_values
 from ncv_cl.settings.presets import PRESETS
 
-OPTIONS = {"spp": 64, "train_spp": 16, "size": (8, 8)}
+OPTIONS = {"spp": 64, "size": (8, 8)}
 
 
 def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, monkeypatch):
@@ -21,7 +20,9 @@ def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, mo
     wild = replace(preset, schedule=replace(preset.schedule, rate=1e30, final_rate=1e30))
     monkeypatch.setitem(PRESETS, "default", wild)
     with pytest.warns(UserWarning, match="diverged"):
-        image = render(scenes / "cornell_box.toml", "ao", "ncv", device=one_device, **OPTIONS)
+        image = render(
+            scenes / "cornell_box.toml", "ao", "ncv", train_spp=16, device=one_device, **OPTIONS
+        )
     assert np.isfinite(image.pixels).all() and image.pixels.any()
     assert "G" not in image.layers
     # What was drawn for training still counts.
@@ -30,7 +31,7 @@ def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, mo
 
 
 def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monkeypatch):
-    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 32)
+    monkeypatch.setattr("ncv_cl.estimation.passes.SAMPLES_A_PASS", 32)
     image = render(
         scenes / "cornell_box.toml", "ao", "mc", device=one_device, stop=lambda: True, **OPTIONS
     )
@@ -40,7 +41,7 @@ def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monk
 
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 def test_rendering_ends_at_the_error_asked_for(one_device, scenes, monkeypatch, method):
-    monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "RESIDUAL_PASS", 16)
+    monkeypatch.setattr("ncv_cl.estimation.passes.SAMPLES_A_PASS", 16)
     options = {**OPTIONS, "spp": 1024, "size": (24, 24)}
     full = render(scenes / "cornell_box.toml", "ao", method, device=one_device, **options)
     target = 16 * float(full.variance.mean())
@@ -62,7 +63,9 @@ def test_rendering_ends_in_time(one_device, scenes):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"method": "mc", "density": "table"}, "plain Monte Carlo learns no residual"),
+        ({"method": "mc", "density": "table"}, "trains and uses no network: density"),
+        ({"method": "mc", "train_spp": 4}, "trains and uses no network: train_spp"),
+        ({"method": "mc", "save_network": "n.npz"}, "no network to save"),
         ({"method": "mc", "allocation": "magnitude"}, "plain Monte Carlo learns no residual"),
         ({"method": "ncv", "allocation": "pilot"}, "'pilot' is for method 'mc'"),
         ({"density": "tree"}, "density must be one of table, subdivision, none"),
@@ -118,7 +121,7 @@ def test_pixels_that_are_not_finite_are_counted_and_named():
         ({"reference": np.zeros((8, 8, 3))}, "black"),
         ({"reference": [["a"]]}, "reference must be"),
         ({"integrand": 5}, "integrand must be"),
-        ({"method": "mc", "network": "n.npz"}, "no network to use"),
+        ({"method": "mc", "network": "n.npz"}, "uses no network: network"),
     ],
 )
 def test_bad_arguments_are_refused_before_the_work(one_device, scenes, monkeypatch, options, message):

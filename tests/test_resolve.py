@@ -11,6 +11,8 @@ from ncv_cl.opencl.device import HostArray
 from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
 from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
 from ncv_cl.sampling.accumulate import Estimate
+from ncv_cl.settings.options import Sampling
+from ncv_cl.settings.settings import Settings
 
 # 3 × 2 pixels of 2 × 2 sub-pixels: 6 columns. Pixel (0, 0) has sub-pixels 0, 1, 6, 7; pixel (1, 2)
 # has 16, 17, 22, 23. The last two points lie on lights 1 and 0.
@@ -46,7 +48,7 @@ def some_estimate(channels=3, points=ACTIVE, samples=10, seed=2):
 
 def test_pixels_and_variances_are_box_filtered(scene, points):
     plain = some_estimate()
-    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
+    image = resolve_image(scene, asked(AmbientOcclusion()), points, plain)
     assert image.pixels.shape == image.variance.shape == (2, 3, 3)
     np.testing.assert_allclose(image.pixels[0, 0], plain.mean[:, :3].sum(1) / 4, rtol=1e-6)
     np.testing.assert_allclose(image.pixels[1, 2], plain.mean[:, 3:].sum(1) / 4, rtol=1e-6)
@@ -60,15 +62,15 @@ def test_pixels_and_variances_are_box_filtered(scene, points):
 
 def test_one_channel_becomes_grey(scene, points):
     plain = some_estimate(channels=1)
-    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
+    image = resolve_image(scene, asked(AmbientOcclusion()), points, plain)
     np.testing.assert_allclose(image.pixels[0, 0], np.repeat(plain.mean[0, :3].sum() / 4, 3), rtol=1e-6)
     np.testing.assert_array_equal(image.variance[..., 0], image.variance[..., 2])
 
 
 def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
     plain = some_estimate()
-    dark = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain)
-    lit = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
+    dark = resolve_image(scene, asked(AmbientOcclusion()), points, plain)
+    lit = resolve_image(scene, asked(DirectLight()), points, plain)
     expected = np.zeros((2, 3, 3))
     expected[0, 0] = np.array([40, 50, 60]) / 4
     np.testing.assert_allclose(lit.pixels - dark.pixels, expected, atol=1e-5)
@@ -76,7 +78,7 @@ def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
 
 
 def test_layers_average_all_hits(scene, points):
-    image = resolve_image(scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, some_estimate())
+    image = resolve_image(scene, asked(AmbientOcclusion()), points, some_estimate())
     pixel00, pixel12 = [0, 1, 2, 5], [3, 4, 6]
     for layer, name in (("albedo", "albedo"), ("N", "normal")):
         rows = points.rows(name)
@@ -94,12 +96,14 @@ def test_layers_average_all_hits(scene, points):
 def test_the_networks_layers_add_up_to_the_estimate(scene, points):
     plain, residual = some_estimate(), some_estimate(seed=3)
     integral = np.random.default_rng(4).uniform(size=(3, ACTIVE))
-    image = resolve_image(
-        scene, AmbientOcclusion(), points, SIZE, SUPERSAMPLE, plain, None, residual, integral
-    )
+    image = resolve_image(scene, asked(AmbientOcclusion()), points, plain, None, residual, integral)
     np.testing.assert_allclose(image.layers["G"][0, 0], integral[:, :3].sum(1) / 4)
     np.testing.assert_allclose(image.layers["residual"][0, 0], residual.mean[:, :3].sum(1) / 4)
     np.testing.assert_allclose(image.pixels, image.layers["G"] + image.layers["residual"], rtol=1e-6)
+
+
+def asked(integrand):
+    return Settings(integrand, "mc", 16, SIZE, 0, Sampling(supersample=SUPERSAMPLE))
 
 
 def one(mean, variance, samples):
@@ -157,6 +161,6 @@ def test_a_picture_of_nothing_is_black(scene, one_device):
         HostArray(one_device, (ROW_COUNT, 0), np.float32), nothing, nothing.astype(int), 0, 24
     )
     plain = Estimate(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0))
-    image = resolve_image(scene, DirectLight(), points, SIZE, SUPERSAMPLE, plain)
+    image = resolve_image(scene, asked(DirectLight()), points, plain)
     for plane in (image.pixels, image.variance, *image.layers.values()):
         assert not plane.any()

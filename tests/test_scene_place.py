@@ -93,7 +93,7 @@ class World:
 
     def ground_points(self) -> tuple[np.ndarray, np.ndarray]:
         """Which pixels see the ground, and where, about the scene's middle."""
-        camera = Camera(np.array(self.camera), np.zeros(3), np.array([0.0, 1, 0]), 40.0)
+        camera = Camera(np.array(self.camera), np.zeros(3), 40.0)
         directions = camera_directions(camera, *SIZE)
         # Away from the box's outline, where rounding decides.
         through = passes_box(camera.position, 1e3 * directions, 1e-4)
@@ -228,7 +228,7 @@ def test_the_origin_is_near_the_viewer_and_steady():
     corners = ground.vertices[ground.triangles]
 
     def origin(position, of=corners):
-        return scene_origin(of, Camera(np.array(position, float), np.zeros(3), np.zeros(3), 40.0))
+        return scene_origin(of, Camera(np.array(position, float), np.zeros(3), 40.0))
 
     assert not origin([0, 1, 1.2]).any()
     for beside in ([5003, 1.5, -3000], [5003.2, 1.5, -3000.3]):
@@ -262,7 +262,7 @@ def test_huge_triangles_are_cut_without_gaps(eye, shared):
     if not shared:
         own = mesh.triangles.ravel()
         mesh = replace(flat_mesh(mesh.vertices[own], np.arange(6).reshape(2, 3)), normals=normals[own])
-    cut = cut_huge(mesh, Camera(np.array(eye, float), np.zeros(3), np.array([0.0, 1, 0]), 40.0))
+    cut = cut_huge(mesh, Camera(np.array(eye, float), np.zeros(3), 40.0))
     corners = cut.vertices[cut.triangles]
     lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     twice_area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -287,7 +287,7 @@ def test_huge_triangles_are_cut_without_gaps(eye, shared):
 
 
 def test_what_is_not_huge_is_left_alone():
-    camera = Camera(np.array([0, 0, 3.0]), np.zeros(3), np.array([0.0, 1, 0]), 40.0)
+    camera = Camera(np.array([0, 0, 3.0]), np.zeros(3), 40.0)
     ball = sphere_mesh(np.zeros(3), 1.0, 3)
     assert cut_huge(ball, camera) is ball
     # But through a narrow lens the same distance is near.
@@ -307,7 +307,7 @@ def test_a_warning_where_single_precision_cannot_resolve_the_view(tmp_path):
         scene = load_scene(tmp_path / "narrow.toml")
     assert any("widen its field of view" in warning for warning in scene.warnings)
     # Where nothing is in view there is nothing to resolve.
-    away = Camera(np.zeros(3), np.array([0, 0, 1.0]), np.array([0.0, 1, 0]), 1e-3)
+    away = Camera(np.zeros(3), np.array([0, 0, 1.0]), 1e-3)
     assert unresolved_steps(np.array([[0, 0, -1e6]]), np.zeros(3), away) == 0
     assert unresolved_steps(np.array([[0, 0, 1e6]]), np.zeros(3), away) > 1
     # Double precision has its limits too.

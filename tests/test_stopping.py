@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from ncv_cl import load_scene, render
-from ncv_cl.estimation.auto import Prediction
 from ncv_cl.estimation.passes import short_pass_edges
-from ncv_cl.estimation.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping, smallest_strip
-from ncv_cl.host.clock import Clock, OutOfTime
-from ncv_cl.integrands import AmbientOcclusion, DirectLight, GlobalIllumination
+from ncv_cl.estimation.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping
+from ncv_cl.host.clock import Clock, OutOfTime, Run
+from ncv_cl.integrands.lights import narrowest_strip
 from ncv_cl.rendering.split import render_split
 
 # A floor under a weak light; a strong one shines on the floor's other side, seen by none of its points.
@@ -63,34 +62,35 @@ def image_estimate(samples, error, something=True):
 
 
 def test_an_error_is_believed_when_every_light_was_sampled(two_lights):
-    strip = smallest_strip(DirectLight(), two_lights)
-    assert 0 < strip < 0.5 and smallest_strip(AmbientOcclusion(), two_lights) == 1
-    assert smallest_strip(GlobalIllumination(), two_lights) == strip
+    strip = narrowest_strip(two_lights)
+    assert 0 < strip < 0.5 and narrowest_strip(replace(two_lights, lights=())) == 1
     for uniform_share in (1.0, 0.1):
-        target = ErrorTarget(1e-3, two_lights, DirectLight(), uniform_share)
+        target = ErrorTarget(1e-3, strip, uniform_share)
         fewest = FEWEST_ON_A_LIGHT / strip / uniform_share
         assert not target.reached(image_estimate(0.99 * fewest, 1e-9))
         assert target.reached(image_estimate(1.01 * fewest, 1e-9))
         assert not target.reached(image_estimate(1.01 * fewest, 2e-3))
 
 
-def test_an_error_that_is_not_known_or_of_nothing_is_not_believed(two_lights):
-    target = ErrorTarget(1e-3, two_lights, AmbientOcclusion(), 1.0)
+def test_an_error_that_is_not_known_or_of_nothing_is_not_believed():
+    target = ErrorTarget(1e-3, 1.0, 1.0)
     assert not target.reached(image_estimate(1e9, math.nan))
     assert not target.reached(image_estimate(1e9, 0.0, something=False))
     assert target.reached(image_estimate(1e9, 0.0, something=True))
-    assert not ErrorTarget(None, two_lights, AmbientOcclusion(), 1.0).reached(image_estimate(1e9, 1e-9))
+    assert not ErrorTarget(None, 1.0, 1.0).reached(image_estimate(1e9, 1e-9))
 
 
 @pytest.mark.parametrize("method", ["mc", "ncv", "auto"])
 @pytest.mark.filterwarnings("ignore:training diverged")
 def test_a_target_is_not_met_before_the_weak_light_is_seen(one_device, two_lights, method):
     """The strong light's power is 1e5 times the other's: a strip by power is hardly ever sampled."""
-    options = {"device": one_device, "size": (16, 16), "spp": 4096, "train_spp": 16}
+    options = {"device": one_device, "size": (16, 16), "spp": 4096}
+    training = {} if method == "mc" else {"train_spp": 16}
     alone = replace(two_lights, lights=two_lights.lights[:1])
     truth = render(alone, "direct", "mc", **{**options, "seed": 9})
     for seed in range(3):
-        image = render(two_lights, "direct", method, target_mse=1e-4, seed=seed, **options)
+        more = {"target_mse": 1e-4, "seed": seed, **training}
+        image = render(two_lights, "direct", method, **options, **more)
         error = float(((image.pixels.astype(float) - truth.pixels) ** 2).mean())
         assert image.stats["ended_by"] == "samples" or error < 4e-4
 
@@ -133,7 +133,7 @@ def test_a_pass_that_would_outlast_the_limit_is_not_begun(monkeypatch):
     passes = SimpleNamespace(number=4, length=lambda number: lengths[number])
     target = SimpleNamespace(reached=lambda found: False)
     under_way = SimpleNamespace(passes=passes)
-    stopping = Stopping(under_way, target, Clock(5.5, 0.0), lambda: False)
+    stopping = Stopping(under_way, target, Run(clock=Clock(5.5, 0.0)))
     now[0] = 1.0
     assert not stopping.enough(1)
     # The next one is four times as long: it would end at 6.
@@ -142,14 +142,12 @@ def test_a_pass_that_would_outlast_the_limit_is_not_begun(monkeypatch):
 
 
 @pytest.mark.parametrize(("samples", "shortest"), [(1, 1), (1000, 1), (1000, 50), (10**9, 3), (64, 999)])
-@pytest.mark.parametrize("first", [None, 4, 16])
-def test_short_passes_grow_slowly_and_cover_all_samples(samples, shortest, first):
-    edges = short_pass_edges(samples, 128, shortest, first)
+def test_short_passes_grow_slowly_and_cover_all_samples(samples, shortest):
+    edges = short_pass_edges(samples, 128, shortest)
     lengths = np.diff(edges)
     assert edges[0] == 0 and edges[-1] == samples and (lengths > 0).all()
     assert lengths[0] <= shortest and lengths.max() <= 128
     assert (lengths <= np.maximum(shortest, edges[:-1] // 16 + 1)).all()
-    assert first is None or first >= samples or first in edges
 
 
 WAYS = [
@@ -194,11 +192,6 @@ def test_every_method_ends_in_time(one_device, scenes, integrand, options, limit
     assert np.isfinite(image.pixels).all() and image.pixels.any()
 
 
-def forced_network(*arguments):
-    """What `predict` returns where a control variate is to follow."""
-    return Prediction("ncv", 1.0, 1.0, 1.0)
-
-
 class Countdown(Clock):
     """Time is up when it has been asked so often."""
 
@@ -216,9 +209,8 @@ class Countdown(Clock):
 @pytest.mark.filterwarnings("ignore:the time limit left none")
 @pytest.mark.parametrize("method", ["ncv", "auto"])
 def test_training_is_given_up_wherever_it_is(one_device, scenes, method, monkeypatch):
-    """Its samples still count, and so do those of a first pass, once each."""
-    monkeypatch.setattr("ncv_cl.estimation.auto.LONGEST_SAMPLE", np.inf)
-    monkeypatch.setattr("ncv_cl.estimation.first_pass.predict", forced_network)
+    """Its samples still count, once each."""
+    monkeypatch.setattr("ncv_cl.estimation.method.SAMPLES_THAT_PAY", 0)
     monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "Clock", Countdown)
     options = {"spp": 32, "size": (24, 24), "time_limit": 1e6, "device": one_device}
     truth = render(scenes / "occluders.toml", "ao", "mc", **{**options, "time_limit": None, "spp": 512})

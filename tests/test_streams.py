@@ -11,7 +11,7 @@ import pytest
 
 import ncv_cl as ncv
 from ncv_cl import render
-from ncv_cl.estimation import auto
+from ncv_cl.estimation import method
 from ncv_cl.learning.density import DensityTrainer
 from ncv_cl.opencl.program import Kernel
 from ncv_cl.points.sampler import HostStream, Stream, host_generator
@@ -24,10 +24,8 @@ STAGES = {
     ("pilot", "draw_pilot"): "pilot",
     ("callable", "centre"): "offset",
     ("learn", "_train"): "training",
-    ("learn", "_run"): "held out",
-    ("first_pass", "predict_from_first_pass"): "first pass",
-    ("render", "_draw"): "passes",
-    ("estimate", "estimate"): "passes",
+    ("learn", "_rounds"): "held out",
+    ("pipeline", "_drawn"): "passes",
 }
 PURPOSES = {
     "warm-up": {Stream.WARM_UP},
@@ -36,7 +34,6 @@ PURPOSES = {
     "offset": {Stream.OFFSET},
     "training": {Stream.TRAINING},
     "held out": {Stream.HELD_OUT},
-    "first pass": {Stream.PLAIN, Stream.PLAIN_AGAIN},
 }
 PASSES = {
     "mc": {Stream.PLAIN, Stream.PLAIN_AGAIN},
@@ -80,17 +77,9 @@ def drawn(monkeypatch):
 
 @pytest.fixture
 def forced(monkeypatch):
-    """Method "auto" asks a first pass, and goes on with a control variate."""
-    for name, value in {
-        "FIXED_INFERENCE_SAMPLES": 0.0,
-        "NESTED_FIXED_INFERENCE_SAMPLES": 0.0,
-        "NESTED_TRAINING_INFERENCE_SAMPLES": 0.0,
-        "INFERENCE_SAMPLES_A_POINT": 0.0,
-        "LONGEST_SAMPLE": np.inf,
-        "MARGIN": np.inf,
-        "NESTED_MARGIN": np.inf,
-    }.items():
-        monkeypatch.setattr(auto, name, value)
+    """Method "auto" takes a control variate."""
+    for name in ("SAMPLES_THAT_PAY", "NESTED_SAMPLES_THAT_PAY"):
+        monkeypatch.setattr(method, name, 0)
 
 
 @pytest.mark.parametrize("limit", [None, 1e3])
@@ -115,14 +104,14 @@ def test_no_two_stages_of_a_render_share_a_stream(
     seed = 5 + (7 << 32)
     options = {"spp": 40, "size": SIZE, "seed": seed, "time_limit": limit, **options}
     image = render(scenes / "occluders.toml", integrand, device=one_device, **options)
-    method = image.stats["method"]
-    assert method == ("mc" if options["method"] == "mc" else "ncv")
+    chosen = image.stats["method"]
+    assert chosen == ("mc" if options["method"] == "mc" else "ncv")
     assert seeds == {(5, 7)}
-    assert streams.pop("passes") <= PASSES[method]
+    assert streams.pop("passes") <= PASSES[chosen]
     for name, found in streams.items():
         assert found <= PURPOSES[name], name
     if options["method"] == "auto":
-        assert "first pass" in streams and "training" in streams
+        assert "training" in streams
     # And so no sample counts twice.
     stages = {stream for stream, _, _ in samples}
     assert len(stages) > 1 or options["method"] == "mc"
@@ -150,7 +139,16 @@ def test_streams_of_the_host_are_apart(one_device, scenes, monkeypatch):
 
     monkeypatch.setattr(np.random, "Philox", spied)
     for options in ({}, {"train_spp": 4}):
-        render(scenes / "occluders.toml", "ao", spp=16, size=SIZE, seed=9, device=one_device, **options)
+        render(
+            scenes / "occluders.toml",
+            "ao",
+            "ncv",
+            spp=16,
+            size=SIZE,
+            seed=9,
+            device=one_device,
+            **options,
+        )
     # Points to train on are chosen in two ways, of which a render takes one.
     assert users.pop((9, HostStream.TRAINING_POINTS)) == {
         ("budget", "plan"),
@@ -160,26 +158,3 @@ def test_streams_of_the_host_are_apart(one_device, scenes, monkeypatch):
     values = {host_generator(0, stream).integers(1 << 62) for stream in HostStream}
     assert len(values) == len(HostStream)
     assert DensityTrainer._start.__code__.co_names.count("host_generator") == 1
-
-
-def test_the_variance_after_a_first_pass_is_honest(one_device, scenes, forced):
-    """The first pass enters the image beside samples that are independent of it.
-
-    Shared samples made the error here 3.3 times what was claimed.
-    """
-    options = {
-        "sampler": "independent",
-        "density": "none",
-        "allocation": "uniform",
-        "train_spp": 0.25,
-        "size": SIZE,
-        "device": one_device,
-    }
-    truth = render(scenes / "occluders.toml", "ao", "ncv", spp=4096, size=SIZE, device=one_device)
-    squares, variances = [], []
-    for seed in range(16):
-        image = render(scenes / "occluders.toml", "ao", "auto", spp=24, seed=seed, **options)
-        assert image.stats["method"] == "ncv"
-        squares.append((image.pixels.astype(float) - truth.pixels) ** 2)
-        variances.append(image.variance.astype(float))
-    assert np.mean(squares) == pytest.approx(np.mean(variances), rel=0.15)

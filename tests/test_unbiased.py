@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from fitting import fitting
 from scipy import stats
 
 from ncv_cl import AmbientOcclusion, DirectLight, render
@@ -71,7 +72,7 @@ def sample(device, scenes, scene, integrand, method, sampler, seeds=SEEDS, spp=S
     images = [
         render(
             scenes / f"{scene}.toml", INTEGRANDS[integrand], sampler=sampler, spp=spp, size=SIZE,
-            train_spp=TRAIN_SPP, seed=seed, device=device, **METHODS[method],
+            seed=seed, device=device, **fitting(**{"train_spp": TRAIN_SPP, **METHODS[method]}),
         )
         for seed in seeds
     ]  # fmt: skip

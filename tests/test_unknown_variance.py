@@ -9,10 +9,8 @@ import pytest
 
 from ncv_cl import Image, render
 from ncv_cl.cli import main
-from ncv_cl.estimation.auto import predict
 from ncv_cl.estimation.calibrate import calibrate, local_mean, steadied
 from ncv_cl.estimation.pilot import allocate_by_pilot
-from ncv_cl.opencl.probe import Probe
 from ncv_cl.output.report import finite
 from ncv_cl.output.resolve import combine
 from ncv_cl.rendering.split import render_split
@@ -57,9 +55,9 @@ def test_an_unknown_variance_is_no_reason_to_stop(one_device, scenes):
             scenes / "occluders.toml",
             "ao",
             "mc",
-            sampler,
             2,
-            size=SIZE,
+            SIZE,
+            sampler=sampler,
             device=one_device,
             target_mse=1e3,
         )
@@ -174,11 +172,6 @@ def test_points_whose_variance_is_unknown_do_not_decide_the_weight():
 def test_a_pilot_of_one_sample_tells_nothing_apart():
     found = allocate_by_pilot(estimate(np.ones(100)), 9)
     assert (found.counts == 8).all()
-
-
-def test_a_first_pass_of_one_sample_promises_nothing(monkeypatch):
-    monkeypatch.setattr("ncv_cl.estimation.auto.cached_probe", lambda device: Probe(10.0, True))
-    assert predict(None, estimate(np.ones(100)), None, 0.1, 1e9).method == "mc"
 
 
 def test_what_json_does_not_know_becomes_null():

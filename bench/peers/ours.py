@@ -17,6 +17,7 @@ import ncv_cl as ncv
 from ncv_cl.estimation.allocate import Allocation, allocate
 from ncv_cl.estimation.control_variate import integrals_of
 from ncv_cl.estimation.passes import Passes, Target
+from ncv_cl.host.clock import Stopwatch
 from ncv_cl.learning.density import Density, DensityTrainer, tabulate
 from ncv_cl.learning.train import Trainer
 from ncv_cl.network.encode import GridCube
@@ -24,12 +25,13 @@ from ncv_cl.network.network import FoldedNetwork, Network
 from ncv_cl.opencl.device import Device, HostArray
 from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
 from ncv_cl.points.sampler import Stream
+from ncv_cl.rendering.estimate import UNIT_CUBE
 from ncv_cl.sampling.accumulate import Accumulator
 from ncv_cl.sampling.callable import CallableSource, HostIntegrand
+from ncv_cl.sampling.problem import Problem
 from ncv_cl.sampling.samples import Batch
 from ncv_cl.sampling.warp import TableWarp
 from ncv_cl.settings.presets import PRESETS
-from ncv_cl.settings.settings import Stopwatch
 
 from .interface import Estimator, FamilyFunction, Method, Samples
 
@@ -103,7 +105,8 @@ class OursEstimator(Estimator):
                 counts = allocate(density.magnitude[:count], samples)
                 allocation = Allocation.of_counts(np.tile(counts, repeats))
         target = Target(accumulator, allocation, Stream.RESIDUAL)
-        Passes(device, source, [target], [0, samples], table, Stopwatch()).run("estimate")
+        problem = Problem(device, points, source, UNIT_CUBE, ("position",), is_image=False)
+        Passes(problem, [target], [0, samples], table, Stopwatch()).run("estimate")
         residual = accumulator.result(1).mean[0].reshape(repeats, count)
         return self.integral.astype(np.float64) + residual
 

@@ -102,7 +102,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
       sample_value[channel] *= LOAD(share + k * VEC);
 #endif
       sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
-      live[k] = live[k] || (sample_value[channel] > 0.0f);
+      live[k] = live[k] || (fabs(sample_value[channel]) > 0.0f);
       STORE(sample_value[channel], value + channel * plane + at);
     }
     count += (uint)sum_lanes(SELECT((real)0.0f, (real)1.0f, live[k]));

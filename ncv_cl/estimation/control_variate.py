@@ -1,4 +1,4 @@
-"""The control variate of all points: folded, scaled, integrated, with the density of its residual."""
+"""The control variate of all points: learned or given, folded, scaled, integrated, with its density."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..host.clock import UNLIMITED, Clock
+from ..host.clock import NO_TIME, OutOfTime, Run
 from ..integration.integrator import Integrator
-from ..learning.alpha import scale
-from ..learning.density import Density, DensityNetwork, tabulate
-from ..learning.learn import Learned, learn_alpha, learn_density
+from ..learning.alpha import can_scale, control_coefficients, scale
+from ..learning.density import Density, DensityNetwork, DensityTrainer, tabulate
+from ..learning.train import TrainingSamples
 from ..network.network import FoldedNetwork, Network
 from ..opencl.device import Device, HostArray
-from ..points.points import ShadingPoints
-from ..settings.settings import RenderSettings, Stopwatch
+from ..sampling.problem import Problem
+from ..settings.settings import Settings
 
 # Points whose neurons the statistics look at.
 POINTS_LOOKED_AT = 4096
@@ -46,65 +46,88 @@ class ControlVariate:
     alpha: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Trained:
+    """A network and what belongs to it, from training, a file or a checkpoint.
+
+    Attributes
+    ----------
+    network : Network
+    density : DensityNetwork, optional
+        What predicts its residual; None: learned from `samples`, if there are any.
+    alpha : ndarray, optional
+        float32 (channels, points), control coefficients; None: found from `samples`, if there are any.
+    samples : TrainingSamples, optional
+        What training has left.
+    """
+
+    network: Network
+    density: DensityNetwork | None = None
+    alpha: np.ndarray | None = None
+    samples: TrainingSamples | None = None
+
+
 def control_variate(
-    device: Device,
-    points: ShadingPoints,
-    settings: RenderSettings,
-    network: Network,
-    watch: Stopwatch,
-    learned: Learned | None = None,
-    density: DensityNetwork | None = None,
-    alpha: np.ndarray | None = None,
-    columns: int | None = None,
-    factor: HostArray | None = None,
-    unit: np.ndarray | None = None,
-    save: Callable[[dict[str, np.ndarray]], None] | None = None,
-    clock: Clock = UNLIMITED,
-) -> ControlVariate:
-    """Make a control variate of a trained network.
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    trained: Trained,
+    save: Callable[[Network, dict[str, np.ndarray]], None] = lambda network, arrays: None,
+) -> ControlVariate | None:
+    """Make a control variate of a trained network; None where the time limit passes before.
 
     Parameters
     ----------
-    learned : Learned, optional
-        What training left, from which coefficients and density are learned.
-    density, alpha : optional
-        Those of a network that was trained before.
-    columns : int, optional
-        Sub-pixels of a row of the image; without an image there are no coefficients to learn.
-    factor : HostArray, optional
-        As `FoldedNetwork` takes it.
-    unit : ndarray, optional
-        As `tabulate` takes it.
-    save : callable, optional
+    save : callable
         Keeps the network with these arrays of its density, before anything else can fail.
-    clock : Clock
-
-    Raises
-    ------
-    OutOfTime
-        Where the time limit has passed before the densities are known.
     """
-    check = None if clock.limit is None else clock.check
-    with watch("fold"):
-        folded = FoldedNetwork(device, network, points, factor)
-    with watch("alpha"):
-        if learned is not None and columns is not None:
-            alpha = learn_alpha(points, folded, learned.trainer, columns)
+    try:
+        return _made(problem, settings, run, trained, save)
+    except OutOfTime:
+        warnings.warn(NO_TIME, stacklevel=6)
+        return None
+
+
+def _made(
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    trained: Trained,
+    save: Callable[[Network, dict[str, np.ndarray]], None],
+) -> ControlVariate:
+    network, points, samples = trained.network, problem.points, trained.samples
+    with run.watch("fold"):
+        factor = problem.factor(network.description.demodulated)
+        folded = FoldedNetwork(problem.device, network, points, factor)
+    alpha = trained.alpha
+    with run.watch("alpha"):
+        # A list of points has no neighbours to pool samples with.
+        if samples is not None and alpha is None and problem.is_image and can_scale(folded):
+            alpha = control_coefficients(folded, samples, points, settings.columns)
         if alpha is not None:
             scale(folded, alpha)
-    clock.check()
-    table = None
-    if settings.uses_density or settings.allocates:
-        with watch("density"):
+    run.clock.check()
+    learned, density = trained.density, None
+    if settings.needs_magnitude:
+        with run.watch("density"):
+            unit = problem.means.read().mean(axis=0) if problem.demodulated else None
+            if samples is not None and learned is None:
+                learned = _learned_density(problem, run, folded, samples, unit)
             if learned is not None:
-                density = learn_density(device, points, folded, learned.trainer, unit, check)
-            if density is not None:
-                table = tabulate(device, density, network, points, unit)
-    if save is not None:
-        save(density.arrays() if density is not None else {})
-    with watch("integrate"):
-        integral = integrals_of(device, folded, points.active)
-    return ControlVariate(folded, integral, table, density, alpha)
+                density = tabulate(problem.device, learned, network, points, unit)
+    save(network, learned.arrays() if learned is not None else {})
+    with run.watch("integrate"):
+        integral = integrals_of(problem.device, folded, points.active)
+    return ControlVariate(folded, integral, density, learned, alpha)
+
+
+def _learned_density(
+    problem: Problem, run: Run, folded: FoldedNetwork, samples: TrainingSamples, unit: np.ndarray | None
+) -> DensityNetwork:
+    """The magnitude of what `folded` leaves of the training samples, in units of `unit`."""
+    unit = np.ones(problem.points.active, np.float32) if unit is None else unit
+    check = None if run.clock.limit is None else run.clock.check
+    return DensityTrainer(problem.device, folded, samples, unit).fit(check)
 
 
 def idle(variate: ControlVariate, points: int) -> dict[str, object]:
@@ -162,6 +185,6 @@ def integrals_of(device: Device, folded: FoldedNetwork, points: int) -> np.ndarr
     statistics = integrator.run(*folded.layers(), integral)
     if statistics.uncertified_points:
         warnings.warn(
-            f"{statistics.uncertified_points} exact integrals failed their certification", stacklevel=5
+            f"{statistics.uncertified_points} exact integrals failed their certification", stacklevel=8
         )
     return integral.read().T

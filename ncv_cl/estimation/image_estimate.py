@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..host.clock import Stopwatch
 from ..learning.density import Density
 from ..learning.triangulate import TriangleWarp
 from ..network.network import FoldedNetwork
 from ..opencl.device import Device, HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
-from ..sampling.samples import Batches
+from ..sampling.problem import Problem
 from ..sampling.warp import TableWarp, Warp
-from ..settings.settings import RenderSettings, Stopwatch
+from ..settings.settings import Settings
 from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
 from .passes import Passes, Target
@@ -26,7 +27,7 @@ class ImageEstimate:
 
     Parameters
     ----------
-    device, source, settings
+    problem, settings
     allocation : Allocation
         Samples of every point.
     edges : sequence of int
@@ -48,17 +49,16 @@ class ImageEstimate:
 
     def __init__(
         self,
-        device: Device,
-        source: Batches,
-        settings: RenderSettings,
+        problem: Problem,
+        settings: Settings,
         allocation: Allocation,
         edges: Sequence[int],
         folded: FoldedNetwork | None,
         density: Density | None,
         watch: Stopwatch,
     ) -> None:
-        points, channels = source.points, settings.integrand.channels
-        self._device, self._settings = device, settings
+        device, points, channels = problem.device, problem.points, problem.source.channels
+        self._problem, self._settings = problem, settings
         self._points = points
         self._magnitude = density.magnitude if density is not None else None
         self._first = Accumulator(device, points, channels, folded)
@@ -71,7 +71,7 @@ class ImageEstimate:
         targets = [Target(self._first, allocation, once)]
         self.twice = np.empty(0, np.uint32)
         # Independent samples tell their variance themselves; others need points that are done twice.
-        if points.active and settings.sampler != "independent":
+        if points.active and settings.sampling.sampler != "independent":
             self.twice = points_done_twice(points.active, settings.seed)
             self._second = Accumulator(device, points, channels, folded, self.twice)
             restricted = allocation.restricted(self.twice, points.active)
@@ -79,7 +79,7 @@ class ImageEstimate:
         warp = None
         if density is not None and folded is not None:
             warp = _warp(device, settings.residual_density, folded, density)
-        self.passes = Passes(device, source, targets, edges, warp, watch, self._keep_parts)
+        self.passes = Passes(problem, targets, edges, warp, watch, self._keep_parts)
         # Means after the last powers of two of passes: parts of what there is.
         self.parts: list[np.ndarray] = []
         self.done = 0
@@ -141,8 +141,8 @@ class ImageEstimate:
     @property
     def _grid(self) -> tuple[np.ndarray, int, int]:
         """The points' sub-pixels, and columns and rows of these."""
-        columns, rows = (self._settings.supersample * size for size in self._settings.size)
-        return self._points.cell[: self._points.active], columns, rows
+        settings = self._settings
+        return self._points.cell[: self._points.active], settings.columns, settings.rows
 
     def _prior(self, estimate: Estimate) -> np.ndarray:
         """What to expect of the variance of a point's sample, up to a factor: (points,)."""
@@ -153,14 +153,14 @@ class ImageEstimate:
         predicted = self._magnitude**2
         return prior / max(prior.mean(), 1e-300) + predicted / max(predicted.mean(), 1e-300)
 
-    def warm_up(self, source: Batches) -> None:
+    def warm_up(self) -> None:
         """Compile what passes run: compilation would be taken for what samples cost."""
+        device, source = self._problem.device, self._problem.source
         rays = replace(source.rays)
-        channels = self._settings.integrand.channels
-        accumulator = Accumulator(self._device, self._points, channels, self._first.network)
-        order = HostArray.of(self._device, np.zeros(1, np.uint32))
+        accumulator = Accumulator(device, self._points, source.channels, self._first.network)
+        order = HostArray.of(device, np.zeros(1, np.uint32))
         accumulator.add(source.draw(range(1), range(1), Stream.WARM_UP, order, self._warp))
-        self._device.queue.finish()
+        device.queue.finish()
         source.rays = rays
 
     @property
@@ -177,23 +177,13 @@ class ImageEstimate:
         """Whether an estimate of any point is not zero."""
         return bool(self._first.means().any())
 
-    def first_estimate(self) -> Estimate:
-        """Of f, without what is done twice."""
-        return self._first.result()
-
-    def differences(self) -> np.ndarray | None:
-        """Between the estimates of f of the points done twice, (channels, points), if there are any."""
-        if self._second is None:
-            return None
-        return (self._first.result().mean - self._second.result().mean)[:, self.twice]
-
     def image_error(self) -> float:
         """The mean square error of the image's pixels so far, as its variances say; NaN: not known."""
         variance = self._final().variance_of_mean
         settings = self._settings
         # Errors of a pixel's points are independent; one channel stands for all three.
         pixels = settings.size[0] * settings.size[1]
-        return float(variance.mean(axis=0).sum()) / (pixels * settings.supersample**4)
+        return float(variance.mean(axis=0).sum()) / (pixels * settings.sampling.supersample**4)
 
     def states(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """What `restore` takes."""

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from ..opencl.device import Device, HostArray
+from ..host.clock import Stopwatch
+from ..opencl.device import HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator
-from ..sampling.samples import Batches
+from ..sampling.problem import Problem
+from ..sampling.samples import SAMPLES_A_PASS
 from ..sampling.warp import Warp
-from ..settings.settings import RenderSettings, Stopwatch
+from ..settings.settings import Settings
 from .allocate import Allocation
 
 # Samples of a short pass in all: small parts of a second, and many enough to keep a device busy.
@@ -28,33 +30,24 @@ class Target(NamedTuple):
     stream: Stream
 
 
-def pass_edges(samples: int, samples_a_pass: int, first_pass: int | None = None) -> list[int]:
+def pass_edges(samples: int, samples_a_pass: int) -> list[int]:
     """Where passes begin and end, in samples a point: all of one length, but for the last.
 
     There are two at least, where there are samples for it: by how far they differ the error is known.
-
-    Parameters
-    ----------
-    first_pass : int, optional
-        Cuts so many off the first one, and leaves the others where they are.
     """
     edges = [*range(0, samples, samples_a_pass), samples]
     if len(edges) > 2 and edges[-1] - edges[-2] < samples_a_pass / 2:
         del edges[-2]
-    if first_pass is not None and first_pass < edges[1]:
-        edges.insert(1, first_pass)
     return edges if len(edges) > 2 or samples == 1 else [0, samples // 2, samples]
 
 
-def shortest_pass(settings: RenderSettings, points: int) -> int:
+def shortest_pass(settings: Settings, points: int) -> int:
     """Samples a point of the first passes of a render of `points` points that must end in time."""
     samples = SHORT_NESTED_PASS if settings.integrand.nested else SHORT_PASS
     return max(1, samples // max(points, 1))
 
 
-def short_pass_edges(
-    samples: int, samples_a_pass: int, shortest: int, first_pass: int | None = None
-) -> np.ndarray:
+def short_pass_edges(samples: int, samples_a_pass: int, shortest: int) -> np.ndarray:
     """As `pass_edges`, int64, for renders that must end in time: short passes at first.
 
     None is longer than a sixteenth of all before it, or than `shortest` where that is more, so that
@@ -68,33 +61,21 @@ def short_pass_edges(
         head.append(min(head[-1] + length, samples))
     regular = np.arange(head[-1] + samples_a_pass, samples, samples_a_pass, dtype=np.int64)
     end = [samples] if head[-1] < samples else []
-    edges = np.concatenate([head, regular, end]).astype(np.int64)
-    if first_pass is None or first_pass >= samples or first_pass in edges:
-        return edges
-    return np.insert(edges, np.searchsorted(edges, first_pass), first_pass)
+    return np.concatenate([head, regular, end]).astype(np.int64)
 
 
-def edges_of(
-    settings: RenderSettings,
-    points: int,
-    samples_a_pass: int,
-    first_pass: int | None = None,
-    done: Sequence[int] | None = None,
-) -> Sequence[int]:
+def edges_of(settings: Settings, points: int, done: Sequence[int] | None = None) -> Sequence[int]:
     """Where the passes of a render of `points` points begin and end.
 
     Parameters
     ----------
-    first_pass
-        As `pass_edges` takes it.
     done : sequence of int, optional
         Those of the passes that a checkpoint holds.
     """
-    if settings.time_limit is None:
-        edges: Sequence[int] = pass_edges(settings.spp, samples_a_pass, first_pass)
+    if settings.stopping.time_limit is None:
+        edges: Sequence[int] = pass_edges(settings.spp, SAMPLES_A_PASS)
     else:
-        shortest = shortest_pass(settings, points)
-        edges = short_pass_edges(settings.spp, samples_a_pass, shortest, first_pass)
+        edges = short_pass_edges(settings.spp, SAMPLES_A_PASS, shortest_pass(settings, points))
     if done is None:
         return edges
     return [*done, *edges[np.searchsorted(edges, done[-1], side="right") :]]
@@ -108,7 +89,7 @@ class Passes:
 
     Parameters
     ----------
-    device, source
+    problem : Problem
     targets : sequence of Target
     edges : sequence of int
         Where the passes begin and end, in samples a point on average: 0, ..., all.
@@ -122,8 +103,7 @@ class Passes:
 
     def __init__(
         self,
-        device: Device,
-        source: Batches,
+        problem: Problem,
         targets: list[Target],
         edges: Sequence[int],
         density: Warp | None,
@@ -131,9 +111,9 @@ class Passes:
         after_pass: Callable[[int], None] = lambda done: None,
     ) -> None:
         self._after_pass = after_pass
-        self._device, self._source, self._watch = device, source, watch
+        self._problem, self._watch = problem, watch
         self._targets, self._density = targets, density
-        self._orders = [HostArray.of(device, target.allocation.chosen) for target in targets]
+        self._orders = [HostArray.of(problem.device, target.allocation.chosen) for target in targets]
         self.edges = edges
 
     @property
@@ -144,10 +124,6 @@ class Passes:
     def length(self, number: int) -> int:
         """Samples a point of one pass."""
         return int(self.edges[number + 1] - self.edges[number])
-
-    def up_to(self, samples: int) -> int:
-        """How many passes there are up to so many samples a point."""
-        return min(int(np.searchsorted(self.edges, samples)), self.number)
 
     def run(
         self,
@@ -178,13 +154,14 @@ class Passes:
     def _run_one(self, target: Target, order: HostArray, number: int, bar: tqdm) -> None:
         accumulator, allocation, stream = target
         drawn = np.zeros(len(allocation.counts))
+        source = self._problem.source
         most_points = self._density.most_points if self._density is not None else None
         for run in allocation.part(*(int(self.edges[k]) for k in (number, number + 1, -1))):
             drawn[run.points.start : run.points.stop] = len(run.samples)
-            for points, samples in self._source.parts(*run, most_points):
-                batch = self._source.draw(points, samples, stream, order, self._density)
+            for points, samples in source.parts(*run, most_points):
+                batch = source.draw(points, samples, stream, order, self._density)
                 with self._watch("estimate"):
                     accumulator.add(batch, samples.start)
-                    self._device.queue.finish()
+                    self._problem.device.queue.finish()
             bar.update(len(run.points) * len(run.samples))
         accumulator.finish_pass(drawn, allocation.chosen)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..host.clock import FIRST_SHARE, Clock
-from ..opencl.device import Device
+from ..host.clock import FIRST_SHARE, Run
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
-from ..sampling.samples import Batches
-from ..settings.settings import RenderSettings, Stopwatch
+from ..sampling.problem import Problem
+from ..settings.settings import Settings
 from .allocate import Allocation, allocate
 from .passes import Passes, Target, short_pass_edges, shortest_pass
 
@@ -23,19 +22,17 @@ def pilot_samples(spp: int) -> int:
     return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
 
 
-def draw_pilot(
-    device: Device, source: Batches, settings: RenderSettings, watch: Stopwatch, clock: Clock
-) -> Estimate:
+def draw_pilot(problem: Problem, settings: Settings, run: Run) -> Estimate:
     """Of f, from samples that the passes do not draw again; with a time limit fewer, if it is short."""
-    points, samples = source.points, pilot_samples(settings.spp)
-    accumulator = Accumulator(device, points, settings.integrand.channels)
+    points, samples = problem.points, pilot_samples(settings.spp)
+    accumulator = Accumulator(problem.device, points, problem.source.channels)
     everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
     targets = [Target(accumulator, everything, Stream.PILOT)]
     edges = [0, samples]
-    if clock.limit is not None:
+    if run.clock.limit is not None:
         edges = short_pass_edges(samples, samples, shortest_pass(settings, points.active))
-    passes = Passes(device, source, targets, edges, None, watch)
-    passes.run("pilot", enough=lambda done: clock.over(FIRST_SHARE))
+    passes = Passes(problem, targets, edges, None, run.watch)
+    passes.run("pilot", enough=lambda done: run.clock.over(FIRST_SHARE))
     return accumulator.result()
 
 

@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
-from ..host.clock import Clock
-from ..integrands import Integrand
-from ..integrands.lights import strip_rows
-from ..scene.load import Scene
+from ..host.clock import Run
 from .image_estimate import ImageEstimate
 
 # An error estimate is believed when so many samples of the image are to be expected on every light.
 # They are then enough for each light's part of the error, which is a mean over the image; with less, a
 # light that few samples go to may not have been seen at all.
 FEWEST_ON_A_LIGHT = 4096
-
-
-def smallest_strip(integrand: Integrand, scene: Scene) -> float:
-    """The narrowest part of the unit square that one light has to itself; 1 without lights."""
-    if not integrand.defines(scene).get("LIGHT_COUNT"):
-        return 1.0
-    widths = strip_rows(scene.lights)[..., 1]
-    return float(widths[widths > 0].min(initial=1.0))
 
 
 class ErrorTarget:
@@ -32,16 +20,15 @@ class ErrorTarget:
     ----------
     mse : float, optional
         None: never reached.
-    scene, integrand
+    narrowest : float
+        Part of the square that the light with the least of it has, as `Problem` says.
     uniform_share : float
         Part of the samples that are spread over all of the square.
     """
 
-    def __init__(
-        self, mse: float | None, scene: Scene, integrand: Integrand, uniform_share: float
-    ) -> None:
+    def __init__(self, mse: float | None, narrowest: float, uniform_share: float) -> None:
         self.mse = mse
-        self._fewest = FEWEST_ON_A_LIGHT / (smallest_strip(integrand, scene) * uniform_share)
+        self._fewest = FEWEST_ON_A_LIGHT / (narrowest * uniform_share)
 
     def reached(self, image_estimate: ImageEstimate) -> bool:
         """Whether the error is the target or less, by an estimate of it that can be believed."""
@@ -61,9 +48,7 @@ class Stopping:
     image_estimate : ImageEstimate
         Under way.
     target : ErrorTarget
-    clock : Clock
-    stop : callable
-        True ends rendering.
+    run : Run
 
     Attributes
     ----------
@@ -71,24 +56,22 @@ class Stopping:
         Why there was none.
     """
 
-    def __init__(
-        self, image_estimate: ImageEstimate, target: ErrorTarget, clock: Clock, stop: Callable[[], bool]
-    ) -> None:
-        self._estimation, self._target, self._clock, self._stop = image_estimate, target, clock, stop
+    def __init__(self, image_estimate: ImageEstimate, target: ErrorTarget, run: Run) -> None:
+        self._image_estimate, self._target, self._run = image_estimate, target, run
         self._began = time.perf_counter()
         self.ended_by = "samples"
 
     def enough(self, done: int) -> bool:
         """Whether the passes `done` are to be the last."""
-        passes, now = self._estimation.passes, time.perf_counter()
+        passes, now = self._image_estimate.passes, time.perf_counter()
         seconds, self._began = now - self._began, now
         if done == passes.number:
             return True
         # Passes are short where there is a limit, and their lengths differ a little.
-        if seconds * passes.length(done) / passes.length(done - 1) > self._clock.left():
+        if seconds * passes.length(done) / passes.length(done - 1) > self._run.clock.left():
             self.ended_by = "time_limit"
-        elif self._target.reached(self._estimation):
+        elif self._target.reached(self._image_estimate):
             self.ended_by = "target_mse"
-        elif self._stop():
+        elif self._run.stop():
             self.ended_by = "request"
         return self.ended_by != "samples"

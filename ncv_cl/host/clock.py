@@ -1,9 +1,12 @@
-"""A time limit, and what is left of it."""
+"""Time: a limit and what is left of it, and a stopwatch."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 # Part of a time limit by which training, and a first pass or pilot, must be through.
 TRAINING_SHARE = 0.5
@@ -50,3 +53,44 @@ class Clock:
 # Without a limit.
 UNLIMITED = Clock()
 NO_TIME = "the time limit left none for a control variate; the image is rendered by plain Monte Carlo"
+
+
+@dataclass
+class Stopwatch:
+    """Seconds per stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def add(self, stage: str, seconds: float) -> None:
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.add(stage, time.perf_counter() - started)
+
+
+def never() -> bool:
+    """Nobody asks for an end."""
+    return False
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the stages of one render share beside their data.
+
+    Attributes
+    ----------
+    watch : Stopwatch
+    clock : Clock
+    stop : callable
+        Asked now and then; True ends the render with what there is.
+    progress : bool
+        Whether to draw progress bars on a terminal.
+    """
+
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    clock: Clock = UNLIMITED
+    stop: Callable[[], bool] = never
+    progress: bool = False

@@ -2,65 +2,177 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import hashlib
+import inspect
+import re
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from ..points.points import ShadingPoints
+from ..host.files import some_of
+from ..opencl.program import KernelFile, KernelText, kernel_files, source
+from ..points.points import INPUTS, ShadingPoints, surface_defines
 from ..scene.load import Scene
+
+# What a pixel can be made of.
+CHANNELS = (1, 3)
+# Constants that every integrand's program has from elsewhere.
+TAKEN = {"VEC", "LANES", "USE_FMA", *surface_defines()}
+# The kernel function that makes a file an integrand's.
+FUNCTION = "evaluate_integrand"
 
 
 class IntegrandError(ValueError):
-    """The scene or an option does not suit the integrand."""
+    """The scene or an option does not suit the integrand, or a class is none."""
 
 
-class Integrand(ABC):
+class Integrand:
     """A function f(u, v | φ) on the unit square for every shading point.
 
     A subclass says which of the network's inputs its f depends on, how many channels it has, and names
-    a kernel file that defines ``evaluate_integrand`` (see samples.cl).
+    a kernel file that defines ``evaluate_integrand`` (see samples.cl). It may be anybody's: class and
+    kernel file need not be part of the package (docs/python.md).
     """
 
     name: ClassVar[str]
-    """What the command line calls it."""
-    files: ClassVar[tuple[str, ...]]
-    """Kernel files, in joining order, that define ``evaluate_integrand``."""
+    """What the command line calls it, and metadata."""
+    files: ClassVar[tuple[str | Path | KernelText, ...]]
+    """Kernel files, in joining order, that define ``evaluate_integrand``. The package's own are named
+    without suffix; other names end in ``.cl`` and are relative to the class's Python file."""
     channels: ClassVar[int]
+    """1, which makes a grey picture, or 3."""
     inputs: ClassVar[tuple[str, ...]]
-    """Network inputs f depends on, as `encode.INPUTS` names them."""
-    demodulated: ClassVar[bool]
+    """Network inputs f depends on, some of `points.INPUTS` in their order, position among them."""
+    demodulated: ClassVar[bool] = False
     """Whether f is easier to learn over its unshadowed mean than as it is."""
-    emitters_active: ClassVar[bool]
+    emitters_active: ClassVar[bool] = True
     """Whether points on area lights have an integral of their own."""
     to_lights: ClassVar[bool] = False
     """Whether every ray ends on an area light, and ``data`` begins with the lights' records."""
     nested: ClassVar[bool] = False
     """Whether f is itself estimated, by paths (`paths.PathSource`)."""
 
-    @abstractmethod
     def data(self, scene: Scene) -> np.ndarray:
-        """The float32 array that the kernels call ``integrand_data``."""
+        """The float32 array that the kernels call ``integrand_data``; by default empty."""
+        return np.zeros(0, np.float32)
 
-    @abstractmethod
-    def defines(self, scene: Scene) -> dict[str, int]:
-        """The `-D` constants of the integrand's kernel files."""
+    def defines(self, scene: Scene) -> dict[str, int | str]:
+        """The `-D` constants of the integrand's kernel files; CHANNELS is always one of them."""
+        return {"CHANNELS": self.channels}
 
-    def check(self, scene: Scene) -> None:
-        """Refuse a scene that does not suit the integrand.
+    def kernels(self) -> tuple[KernelFile, ...]:
+        """`files` as `program.build` takes them: those that are not the package's are read.
 
         Raises
         ------
         IntegrandError
-            As `data` raises it, or where its numbers are beyond float32: kernels take NaN for no light.
+            If one of them cannot be read.
         """
-        data = self.data(scene)
+        return tuple(self._kernel(file) for file in self.files)
+
+    @property
+    def options(self) -> dict[str, object]:
+        """The object's attributes that are numbers, text or None, by name."""
+        plain = (int, float, str, type(None))
+        return {k: v for k, v in vars(self).items() if isinstance(v, plain) and not k.startswith("_")}
+
+    def digest(self, scene: Scene) -> str | None:
+        """A hash of what kernels get from a class that is not the package's; None for the package's."""
+        if type(self).__module__.startswith("ncv_cl."):
+            return None
+        declared = (self.channels, self.inputs, self.demodulated, self.emitters_active, self.to_lights)
+        texts = [file if isinstance(file, str) else file.text for file in self.kernels()]
+        parts = (declared, texts, sorted(self.defines(scene).items()))
+        return hashlib.sha256(repr(parts).encode() + self.data(scene).tobytes()).hexdigest()
+
+    def check(self, scene: Scene) -> None:
+        """Refuse a class that is no integrand, or a scene that does not suit it.
+
+        Raises
+        ------
+        IntegrandError
+            As `data` and `kernels` raise it, where the class does not say what it must, or where a
+            light's numbers are beyond float32: kernels take NaN for no light.
+        """
+        self._check_declared()
+        self._check_kernels()
+        data, defines = self.data(scene), self.defines(scene)
+        own = type(self).__name__
+        if not isinstance(data, np.ndarray) or data.dtype != np.float32:
+            kind = data.dtype if isinstance(data, np.ndarray) else type(data).__name__
+            raise IntegrandError(f"{own}.data must return an array of float32, returned {kind}")
+        if not isinstance(defines, dict) or defines.get("CHANNELS") != self.channels:
+            raise IntegrandError(
+                f"{own}.defines must return what super().defines(scene) does, and may add to it: "
+                f"CHANNELS must be {self.channels}"
+            )
+        if taken := sorted(TAKEN & set(defines)):
+            raise IntegrandError(f"{own}.defines: the name {taken[0]} is taken, choose another")
         largest = [float(np.max(light.radiance)) * light.area for light in scene.lights]
         finite = np.isfinite(data).all() and np.isfinite(np.array(largest, np.float32)).all()
-        if "LIGHT_COUNT" in self.defines(scene) and not finite:
+        if "LIGHT_COUNT" in defines and not finite:
             raise IntegrandError(
                 f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
             )
+
+    def _check_declared(self) -> None:
+        """That the class has attributes, as they must be."""
+        own = type(self).__name__
+        missing = [name for name in ("name", "files", "channels", "inputs") if not hasattr(self, name)]
+        if missing:
+            raise IntegrandError(f"{own} does not say its {', '.join(missing)}")
+        if self.channels not in CHANNELS:
+            raise IntegrandError(f"{own}.channels must be 1 or 3, is {self.channels!r}")
+        if not isinstance(self.files, (tuple, list)) or not self.files:
+            raise IntegrandError(f"{own}.files must be a tuple of kernel files, is {self.files!r}")
+        try:
+            inputs = some_of(f"{own}.inputs", self.inputs, INPUTS)
+        except ValueError as error:
+            raise IntegrandError(str(error)) from error
+        if "position" not in inputs:
+            raise IntegrandError(f"{own}.inputs must hold position, are {self.inputs!r}")
+
+    def _check_kernels(self) -> None:
+        """That other people's kernel files can be read, and define what is called."""
+        kernels = self.kernels()
+        theirs = [file.name for file in kernels if isinstance(file, KernelText)]
+        if not theirs:
+            return
+        if self.nested:
+            raise IntegrandError(f"{type(self).__name__}: only integrand gi can be nested")
+        code = re.sub(r"/\*.*?\*/|//[^\n]*", " ", source(kernels), flags=re.DOTALL)
+        if not re.search(rf"\bvoid\s+{FUNCTION}\s*\(", code):
+            raise IntegrandError(f"{' and '.join(theirs)}: void {FUNCTION}(...) is not defined there")
+
+    def _kernel(self, file: object) -> KernelFile:
+        """One of `files`."""
+        own = type(self).__name__
+        if isinstance(file, KernelText):
+            return file
+        if not isinstance(file, (str, Path)):
+            raise IntegrandError(f"{own}.files: a name, a path or a KernelText is needed, not {file!r}")
+        if Path(file).suffix != ".cl":
+            if str(file) not in kernel_files():
+                raise IntegrandError(
+                    f"{own}.files: the package has no kernel file {str(file)!r}, and those of your own "
+                    "end in .cl"
+                )
+            return str(file)
+        path = self._folder() / file
+        try:
+            return KernelText.read(path)
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise IntegrandError(f"{own}.files: cannot read {path}: {reason}") from error
+
+    def _folder(self) -> Path:
+        """Where the Python file lies that says `files`; the working directory if it was typed in."""
+        owner = next(one for one in type(self).__mro__ if "files" in vars(one))
+        try:
+            return Path(inspect.getfile(owner)).parent
+        except (OSError, TypeError):
+            return Path()
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray | None:
         """Where f is zero for every (u, v), as far as that is certain without shadows.

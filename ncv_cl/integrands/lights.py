@@ -90,6 +90,14 @@ def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> 
     return radiance[light] * (front | two_sided[light])[:, None]
 
 
+def narrowest_strip(scene: Scene) -> float:
+    """The narrowest part of the unit square that one light has to itself; 1 without lights."""
+    if not scene.lights:
+        return 1.0
+    widths = strip_rows(scene.lights)[..., 1]
+    return float(widths[widths > 0].min(initial=1.0))
+
+
 def _choices(lights: int) -> int:
     return 1 << lights if 2 <= lights <= MOST_CHOSEN else 1
 

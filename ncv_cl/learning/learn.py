@@ -1,4 +1,4 @@
-"""Training samples drawn, the control variate trained on them, and the density of its residual."""
+"""Training samples drawn, round after round, and a network trained on them."""
 
 from __future__ import annotations
 
@@ -10,22 +10,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..host.clock import NO_TIME, TRAINING_SHARE, UNLIMITED, Clock, OutOfTime
-from ..network.encode import GridCube
-from ..network.network import FoldedNetwork, Network
-from ..opencl.device import Device, HostArray
-from ..points.points import ShadingPoints
+from ..host.clock import NO_TIME, TRAINING_SHARE, OutOfTime, Run
+from ..network.network import Network
+from ..opencl.device import HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
-from ..sampling.samples import Batch, Batches
-from ..settings.presets import PRESETS, Preset
+from ..sampling.guide import Guide
+from ..sampling.problem import Problem
+from ..sampling.samples import Batch
+from ..settings.presets import Preset
 from ..settings.schedule import Schedule
-from ..settings.settings import RenderSettings, Stopwatch
-from .alpha import can_scale, control_coefficients
+from ..settings.settings import Settings
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
-from .density import DensityNetwork, DensityTrainer
 from .held_out import HeldOut
-from .train import Trainer
+from .train import Trainer, TrainingSamples
 
 # How often a sample is used with `train_spp` "auto".
 AUTO_EPOCHS = 2
@@ -51,70 +49,61 @@ class Learned:
         Of f, from the training samples alone.
     network : Network, optional
         None where training diverged twice, or had no time.
-    trainer : Trainer, optional
-        Holds the samples of the last round, for the density. None where there was no time for any.
+    samples : TrainingSamples, optional
+        Those of the last round. None without a network.
     statistics : dict
         ``samples`` in all, the ``epochs`` over those of the last round, ``rounds``; and ``held_out``,
         after each round the variance of f - g over that of f at points that are not trained on. Empty
         where no points were held out.
+    guide : Guide, optional
+        Where light comes from, for paths behind the first bounce.
     """
 
     estimate: Estimate
     network: Network | None
-    trainer: Trainer | None
+    samples: TrainingSamples | None
     statistics: dict[str, object]
+    guide: Guide | None = None
 
 
-def learn(
-    device: Device,
-    cube: GridCube,
-    source: Batches,
-    settings: RenderSettings,
-    inputs: tuple[str, ...],
-    factor: Callable[[bool], HostArray | None],
-    watch: Stopwatch,
-    stop: Callable[[], bool],
-    clock: Clock = UNLIMITED,
-) -> Learned:
+def learn(problem: Problem, settings: Settings, run: Run) -> Learned:
     """Draw training samples and fit a network; once more at a tenth of the rate where that diverges.
 
-    Parameters
-    ----------
-    cube : GridCube
-        What the network's hash grid divides.
-    inputs : tuple of str
-        What varies over the points, as `encode.varying_inputs` finds it.
-    factor : callable
-        For whether the network is demodulated, what its output is multiplied by at each point.
-    stop : callable
-        Asked between rounds of samples; True ends training with what there is.
-    clock : Clock
-        Training ends in its part of the time limit, with the rounds that were done until then.
+    Training ends in its part of a time limit, with the rounds that were done until then.
     """
-    preset = PRESETS[settings.preset]
-    with watch("train"):
-        description = preset.description(settings.integrand, inputs)
-        start = Network.random(description, cube, settings.seed)
-        factors = factor(description.demodulated)
-    learning = _Learning(device, source, settings, start, factors, watch, stop, clock)
+    if settings.guides:
+        problem.source.record_guide()
+    learned = _fitted(problem, settings, run)
+    if not settings.guides:
+        return learned
+    with run.watch("guide"):
+        return replace(learned, guide=problem.source.learn_guide())
+
+
+def _fitted(problem: Problem, settings: Settings, run: Run) -> Learned:
+    with run.watch("train"):
+        description = settings.preset.description(settings.integrand, problem.inputs)
+        start = Network.random(description, problem.cube, settings.seed)
+        factors = problem.factor(description.demodulated)
+    learning = _Learning(problem, settings, run, start, factors)
     for slower in (1.0, 0.1):
         learned = learning.attempt(slower)
         if learned.network is not None:
             return learned
-        if clock.over(TRAINING_SHARE):
-            warnings.warn(NO_TIME, stacklevel=5)
+        if run.clock.over(TRAINING_SHARE):
+            warnings.warn(NO_TIME, stacklevel=7)
             return learned
-    warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=5)
+    warnings.warn("training diverged; the image is rendered by plain Monte Carlo", stacklevel=7)
     return learned
 
 
-def training_budget(settings: RenderSettings, active: int) -> Budget:
+def training_budget(settings: Settings, active: int) -> Budget:
     """The samples that training `active` points may take.
 
     Held-out variance decides where it tells all that samples are good for: guides learn from them too,
     and a schedule of whole frames needs every point.
     """
-    if settings.train_spp == "auto" and PRESETS[settings.preset].subset and not settings.guides:
+    if settings.training.train_spp == "auto" and settings.preset.subset and not settings.guides:
         return plan(active, settings.spp, settings.seed)
     chosen, samples = settings.training_points(active, TRAINING_PASS, UNDECIDED_SAMPLES)
     return Budget([Round(chosen, range(samples))])
@@ -137,24 +126,21 @@ class _Rounds:
 class _Learning:
     """What the attempts to train one network share."""
 
-    device: Device
-    source: Batches
-    settings: RenderSettings
+    problem: Problem
+    settings: Settings
+    run: Run
     start: Network
     factors: HostArray | None
-    watch: Stopwatch
-    stop: Callable[[], bool]
-    clock: Clock
 
     def attempt(self, slower: float) -> Learned:
         """Train from the start at `slower` times the rate; without a network if that diverged."""
-        source = self.source
-        budget = training_budget(self.settings, source.points.active)
-        accumulator = Accumulator(self.device, source.points, self.settings.integrand.channels)
+        points = self.problem.points
+        budget = training_budget(self.settings, points.active)
+        accumulator = Accumulator(self.problem.device, points, self.settings.integrand.channels)
         done = _Rounds()
         # Out of time, the rounds done before are what there is.
         with suppress(OutOfTime):
-            self._run(budget, slower, accumulator, done)
+            self._rounds(budget, slower, accumulator, done)
         about: dict[str, object] = {
             "samples": done.used,
             "epochs": done.epochs,
@@ -163,30 +149,34 @@ class _Learning:
         }
         failed = done.network is None or _diverged(done.network, done.losses)
         network = None if failed else done.network
-        return Learned(accumulator.result(), network, done.trainer, about)
+        samples = None if network is None else done.trainer.samples_of(network)
+        return Learned(accumulator.result(), network, samples, about)
 
-    def _run(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
+    def _rounds(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
         """Round after round, until they are over or the next one would not pay."""
-        source, held_out, rays = self.source, None, self.source.rays.traced
+        source, held_out = self.problem.source, None
+        rays = source.rays.traced
         if budget.held_out is not None:
             chosen, samples = budget.held_out.chosen, budget.held_out.samples
-            held_out = HeldOut(self.device, source.points, chosen, accumulator.channels, self.factors)
+            held_out = HeldOut(
+                self.problem.device, source.points, chosen, accumulator.channels, self.factors
+            )
             self._draw(Stream.HELD_OUT, chosen, samples, accumulator, held_out.store)
         for number, current in enumerate(budget.rounds, 1):
             began = time.perf_counter()
             schedule, losses = self._schedule(slower, current), list(done.losses)
             trainer = self._train(schedule, current, accumulator, done.trainer, losses)
-            with self.watch("train"):
+            with self.run.watch("train"):
                 done.network, done.trainer, done.losses = trainer.network(), trainer, losses
                 done.used, done.epochs, done.number = done.used + current.count, schedule.epochs, number
                 if held_out is not None and np.isfinite(losses[-1]):
                     done.found.append((done.used, *held_out.variances(done.network)))
-            if number == len(budget.rounds) or not np.isfinite(losses[-1]) or self.stop():
+            if number == len(budget.rounds) or not np.isfinite(losses[-1]) or self.run.stop():
                 return
             following = budget.rounds[number]
             seconds = (time.perf_counter() - began) * following.count / current.count
             traced = (source.rays.traced - rays) / (done.used + budget.held_out.count)
-            in_time = seconds < self.clock.left(TRAINING_SHARE)
+            in_time = seconds < self.run.clock.left(TRAINING_SHARE)
             if not (in_time and self._pays(done.found, slower, following, traced)):
                 return
 
@@ -197,15 +187,15 @@ class _Learning:
         following: Round,
         rays: float,
     ) -> bool:
-        samples = float(self.settings.spp) * self.source.points.active
+        samples = float(self.settings.spp) * self.problem.points.active
         epochs = self._schedule(slower, following).epochs
         return pays([(used, left) for used, left, _ in found], following, epochs, samples, rays)
 
     def _schedule(self, slower: float, current: Round) -> Schedule:
-        preset = PRESETS[self.settings.preset]
+        preset = self.settings.preset
         schedule = preset.schedule
         epochs = schedule.epochs
-        if self.settings.train_spp == "auto":
+        if self.settings.training.train_spp == "auto":
             epochs = min(epochs, AUTO_EPOCHS)
         rate = schedule.rate * slower
         return replace(
@@ -227,25 +217,25 @@ class _Learning:
         chosen, numbers = current.chosen, current.samples
         held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
         firsts = range(numbers.start, numbers.stop - held + 1, held)
-        self.clock.check(TRAINING_SHARE)
-        with self.watch("train"):
+        self.run.clock.check(TRAINING_SHARE)
+        with self.run.watch("train"):
             trainer = Trainer(
-                self.device, self.start, self.source.points, schedule, chosen, held,
+                self.problem.device, self.start, self.problem.points, schedule, chosen, held,
                 self.settings.seed, self.factors, previous,
             )  # fmt: skip
         for first in firsts:
             part = range(first, first + held)
             self._draw(Stream.TRAINING, chosen, part, accumulator, trainer.store)
-            with self.watch("train"):
+            with self.run.watch("train"):
                 losses.append(trainer.fit(len(firsts), self._check))
-            if not np.isfinite(losses[-1]) or (first != firsts[-1] and self.stop()):
+            if not np.isfinite(losses[-1]) or (first != firsts[-1] and self.run.stop()):
                 break
         return trainer
 
     @property
     def _check(self) -> Callable[[], None] | None:
         """What raises `OutOfTime`, where there is a limit."""
-        return None if self.clock.limit is None else lambda: self.clock.check(TRAINING_SHARE)
+        return None if self.run.clock.limit is None else lambda: self.run.clock.check(TRAINING_SHARE)
 
     def _draw(
         self,
@@ -256,8 +246,8 @@ class _Learning:
         store: Callable[[Batch, int], None],
     ) -> None:
         """Draw samples of the chosen points, for the estimate and to be stored."""
-        source, watch = self.source, self.watch
-        order = HostArray.of(self.device, chosen)
+        device, source, watch = self.problem.device, self.problem.source, self.run.watch
+        order = HostArray.of(device, chosen)
         for first in range(numbers.start, numbers.stop, TRAINING_PASS):
             part = range(first, min(first + TRAINING_PASS, numbers.stop))
             for batch_points in source.batches(len(chosen)):
@@ -266,9 +256,9 @@ class _Learning:
                     accumulator.add(batch, part.start)
                 with watch("train"):
                     store(batch, part.start - numbers.start)
-                    self.device.queue.finish()
+                    device.queue.finish()
             accumulator.finish_pass(np.full(len(chosen), len(part)), chosen)
-            self.clock.check(TRAINING_SHARE)
+            self.run.clock.check(TRAINING_SHARE)
 
 
 def _diverged(network: Network, losses: list[float]) -> bool:
@@ -285,26 +275,3 @@ def _enough_epochs(preset: Preset, epochs: int, points: int, samples: int) -> in
     wanted = FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else FEWEST_STEPS
     steps = batches * max(1, samples // schedule.samples_a_step)
     return max(epochs, min(MOST_EPOCHS, -(-wanted // steps)))
-
-
-def learn_alpha(
-    points: ShadingPoints, folded: FoldedNetwork, trainer: Trainer, columns: int
-) -> np.ndarray | None:
-    """Control coefficients from the trainer's samples; None for networks that cannot take them."""
-    if not can_scale(folded):
-        return None
-    return control_coefficients(folded, trainer.samples_of(folded.network), points, columns)
-
-
-def learn_density(
-    device: Device,
-    points: ShadingPoints,
-    folded: FoldedNetwork,
-    trainer: Trainer,
-    unit: np.ndarray | None,
-    check: Callable[[], None] | None = None,
-) -> DensityNetwork:
-    """The magnitude of what `folded` leaves of the trainer's samples, in units of `unit`."""
-    unit = np.ones(points.active, np.float32) if unit is None else unit
-    samples = trainer.samples_of(folded.network)
-    return DensityTrainer(device, folded, samples, unit).fit(check)

@@ -10,13 +10,11 @@ import numpy as np
 from ..host.files import some_of, whole_number
 from ..opencl.device import Device, HostArray
 from ..opencl.program import Program, build
-from ..points.points import ShadingPoints, surface_defines
+from ..points.points import INPUTS, ShadingPoints, surface_defines
 
 # Shading points that extend over less than this part of the scene have a grid of their own; the part of
 # them that may lie outside it, to each side.
 SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
-# Components that each input has before its encoding, in feature order.
-INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 # What the kernels can hold: vectors of so many features, indices of 32 bits.
 ENTRY_FEATURES = (1, 2, 4, 8, 16)
 MOST_CELLS = 1 << 30

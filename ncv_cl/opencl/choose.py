@@ -16,7 +16,7 @@ from .device import (
     open_device,
     pocl_version,
 )
-from .probe import Probe, cached_probe, measure
+from .probe import Probe, measure
 from .runtimes import INTEL_PLATFORM, platforms
 
 VARIABLE = "NCV_CL_DEVICE"
@@ -34,7 +34,9 @@ class DeviceReport:
     def __str__(self) -> str:
         if self.probe is None:
             return f"{self.device.describe()} | not used: {self.problem}"
-        return f"{self.device.describe()} | inference {self.probe.nanoseconds:.1f} ns a sample"
+        return (
+            f"{self.device.describe()} | {self.probe.multiply_adds:.3g} billion multiply-adds a second"
+        )
 
 
 class DeviceList(list[DeviceReport]):
@@ -96,10 +98,7 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     check_process()
     if isinstance(selector, Device):
         return selector
-    device = _chosen(selector)
-    # Measured when a device is first used rather than in a render, where "auto" weighs by it.
-    cached_probe(device)
-    return device
+    return _chosen(selector)
 
 
 def _chosen(selector: int | str | None) -> Device:

@@ -6,6 +6,7 @@ import functools
 import threading
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +39,46 @@ def kernel_files() -> dict[str, Path]:
     return {path.stem: path for path in sorted(kernel_folder().rglob("*.cl"))}
 
 
+@dataclass(frozen=True)
+class KernelText:
+    """The text of a kernel file that is not one of ours.
+
+    Attributes
+    ----------
+    name : str
+        What compilers call it in their messages, such as the file's path.
+    text : str
+        All caches of programs know it by this.
+    """
+
+    name: str
+    text: str
+
+    @classmethod
+    def read(cls, path: Path) -> KernelText:
+        """The text of a file; OSError or UnicodeDecodeError where it cannot be read."""
+        return cls(str(path), path.read_text(encoding="utf-8-sig"))
+
+
+# A file of the kernel folder by its base name without suffix, or another's text.
+KernelFile = str | KernelText
+
+
 @functools.cache
-def source(files: tuple[str, ...]) -> str:
-    """The joined text of `files` (base names without suffix), each under its own ``#line``.
+def source(files: tuple[KernelFile, ...]) -> str:
+    """The joined text of `files`, each under its own ``#line``.
 
     The texts are joined here, and not by ``#include``, because NVIDIA's program cache misses edits of
     included headers.
     """
     parts, paths = [], kernel_files()
-    for name in files:
-        text = paths[name].read_text(encoding="utf-8")
-        parts.append(f'#line 1 "{name}.cl"\n{text}')
+    for file in files:
+        if isinstance(file, str):
+            name = f"{file}.cl"
+            text = paths[file].read_text(encoding="utf-8")
+        else:
+            name, text = file.name.replace("\\", "\\\\").replace('"', '\\"'), file.text
+        parts.append(f'#line 1 "{name}"\n{text}')
     return "\n".join(parts)
 
 
@@ -125,7 +155,9 @@ class Kernel:
 class Program:
     """A built program; `kernel(name)` returns the same retained `Kernel` every time."""
 
-    def __init__(self, device: Device, files: tuple[str, ...], defines: Mapping[str, int | str]) -> None:
+    def __init__(
+        self, device: Device, files: tuple[KernelFile, ...], defines: Mapping[str, int | str]
+    ) -> None:
         self.device = device
         self.files = files
         self.defines = {**device_defines(device), **defines}
@@ -137,9 +169,7 @@ class Program:
         try:
             self._program = _built(device, source(files), options)
         except cl.RuntimeError as error:
-            raise RuntimeError(
-                f"building {' + '.join(files)} failed on {device.name} with {self.defines}:\n{error}"
-            ) from error
+            raise RuntimeError(_complaint(error, device, files, self.defines)) from error
         self._kernels: dict[str, Kernel] = {}
 
     def kernel(self, name: str) -> Kernel:
@@ -149,6 +179,22 @@ class Program:
     def own_kernel(self, name: str) -> Kernel:
         """A kernel that nobody else has, for arguments that are to stay."""
         return Kernel(self.device, cl.Kernel(self._program, name))
+
+
+def _complaint(
+    error: cl.RuntimeError,
+    device: Device,
+    files: tuple[KernelFile, ...],
+    defines: Mapping[str, int | str],
+) -> str:
+    """What did not compile, and the compiler's words, those about other people's texts first."""
+    names = [file if isinstance(file, str) else file.name for file in files]
+    theirs = [file.name for file in files if not isinstance(file, str)]
+    failed = f"building {' + '.join(names)} failed on {device.name} with {dict(defines)}:\n{error}"
+    found = [line for line in str(error).splitlines() if any(f"{name}:" in line for name in theirs)]
+    if not found:
+        return failed
+    return "\n".join([f"{' and '.join(theirs)} cannot be compiled:", *found, "", failed])
 
 
 def _built(device: Device, text: str, options: list[str]) -> cl.Program:
@@ -185,7 +231,7 @@ _lock = threading.Lock()
 
 
 def build(
-    device: Device, files: tuple[str, ...], defines: Mapping[str, int | str] | None = None
+    device: Device, files: tuple[KernelFile, ...], defines: Mapping[str, int | str] | None = None
 ) -> Program:
     """Build (or return the retained) program of `files` for `device` with these `-D` constants."""
     defines = dict(defines or {})

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..estimation.auto import Prediction
 from ..host.files import (
     ANY,
     array_of,
     json_of,
     read_arrays,
-    real_number,
     record_of,
     whole_number,
     write_whole,
@@ -28,7 +25,7 @@ from ..sampling.guide import CELLS, Guide
 from ..sampling.warp import DENSITY_WORDS
 
 # What of a checkpoint is kept as JSON.
-ABOUT = ("identity", "method", "edges", "prediction")
+ABOUT = ("identity", "method", "edges")
 
 
 class CheckpointError(ValueError):
@@ -53,8 +50,6 @@ class Checkpoint:
         Of what was sampled before the passes.
     network, density : optional
         The control variate and its density.
-    prediction : dict, optional
-        Of method "auto".
     alpha : ndarray, optional
         The control variate's coefficients.
     parts : list of ndarray
@@ -70,7 +65,6 @@ class Checkpoint:
     before: Estimate | None
     network: Network | None
     density: DensityNetwork | None
-    prediction: dict[str, object] | None
     alpha: np.ndarray | None
     parts: list[np.ndarray]
     guide: Guide | None
@@ -141,7 +135,6 @@ class Checkpoint:
             _before(arrays) if "before_mean" in arrays else None,
             network,
             density,
-            _prediction(about["prediction"]),
             array_of(arrays, "alpha", np.float32, points) if "alpha" in arrays else None,
             [
                 array_of(arrays, name, np.float64, (ANY, *points))
@@ -214,14 +207,3 @@ def _before(arrays: dict[str, np.ndarray]) -> Estimate:
     if (variance < 0).any():
         raise ValueError("'before_variance' holds negative values")
     return Estimate(mean, variance, samples)
-
-
-def _prediction(found: object) -> dict[str, object] | None:
-    if found is None:
-        return None
-    found = record_of(found, "prediction", (field.name for field in fields(Prediction)))
-    if found["method"] not in ("mc", "ncv") or not isinstance(found["first_pass"], bool):
-        raise ValueError("its prediction is not one")
-    for name in ("mc_seconds", "ncv_seconds", "variance_gain"):
-        real_number(name, found[name], 0.0, math.inf)
-    return found

@@ -33,10 +33,10 @@ class Keep:
         By path, what went wrong.
     """
 
-    checkpoint: str | Path | None
-    network: str | Path | None
-    identity: dict[str, object]
-    resumed: Checkpoint | None
+    checkpoint: str | Path | None = None
+    network: str | Path | None = None
+    identity: dict[str, object] = field(default_factory=dict)
+    resumed: Checkpoint | None = None
     not_written: dict[str, str] = field(default_factory=dict)
 
     def save_network(self, network: Network, companions: dict[str, np.ndarray]) -> None:
@@ -54,24 +54,22 @@ class Keep:
         image_estimate: ImageEstimate,
         before: Estimate | None,
         variate: ControlVariate | None,
-        prediction: dict[str, object] | None,
         guide: Guide | None,
     ) -> None:
         """Write a checkpoint, if it is wanted."""
         if self.checkpoint is None:
             return
         found = Checkpoint(
-            self.identity,
-            "mc" if variate is None else "ncv",
-            [int(edge) for edge in image_estimate.passes.edges[: image_estimate.done + 1]],
-            image_estimate.states(),
-            before,
-            variate.folded.network if variate else None,
-            variate.learned if variate else None,
-            prediction,
-            variate.alpha if variate else None,
-            image_estimate.parts,
-            guide,
+            identity=self.identity,
+            method="mc" if variate is None else "ncv",
+            edges=[int(edge) for edge in image_estimate.passes.edges[: image_estimate.done + 1]],
+            states=image_estimate.states(),
+            before=before,
+            network=variate.folded.network if variate else None,
+            density=variate.learned if variate else None,
+            alpha=variate.alpha if variate else None,
+            parts=image_estimate.parts,
+            guide=guide,
         )
         self._attempt(self.checkpoint, lambda: found.save(self.checkpoint))
 

@@ -6,10 +6,13 @@ import functools
 import hashlib
 import math
 import warnings
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
+from ..host.clock import Stopwatch
+from ..host.version import package_version
 from ..network.network import Network
 from ..opencl.device import Device
 from ..opencl.program import kernel_folder
@@ -17,23 +20,25 @@ from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..sampling.samples import RayCount
 from ..scene.load import Scene
-from ..settings.settings import RenderSettings, Stopwatch
+from ..settings.settings import Settings
 from .image import Image, error_metrics
-
-
-def package_version() -> str:
-    """The installed version of ncv_cl."""
-    try:
-        return version("ncv_cl")
-    except PackageNotFoundError:
-        return "unpackaged"
 
 
 @functools.cache
 def kernel_digest() -> str:
     """A hash of all kernel files."""
+    return _digest(kernel_folder().rglob("*.cl"))
+
+
+@functools.cache
+def tuning_digest() -> str:
+    """A hash of the numbers that were measured, on which decisions rest."""
+    return _digest(Path(__file__).parent.parent.rglob("tuning.py"))
+
+
+def _digest(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for file in sorted(kernel_folder().rglob("*.cl")):
+    for file in sorted(files):
         digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -133,58 +138,54 @@ def skips(
 
 
 def identity(
-    scene: Scene, settings: RenderSettings, device: Device, network: Network | None
+    scene: Scene, settings: Settings, device: Device, network: Network | None
 ) -> dict[str, object]:
     """All that decides an image's bits, by name; `network` is the one that was given."""
     return {
         "version": package_version(),
         "scene": scene.digest,
         "integrand": settings.integrand.name,
-        "integrand options": {k: str(v) for k, v in sorted(vars(settings.integrand).items())},
+        "integrand options": {k: str(v) for k, v in sorted(settings.integrand.options.items())},
+        "integrand's hash": settings.integrand.digest(scene),
         "method": settings.method,
-        "sampler": settings.sampler,
         "spp": settings.spp,
-        "train_spp": settings.train_spp,
         "size": settings.size,
-        "supersample": settings.supersample,
         "seed": settings.seed,
-        "preset": settings.preset,
-        "density": settings.density,
-        "allocation": settings.allocation,
-        "skip_dark": settings.skip_dark,
-        "visibility": settings.visibility,
+        **settings.options("sampling", "training"),
         "network": "trained" if network is None else network.digest,
         "device": f"{device.identity}, VEC {device.vector_width}, LANES {device.lanes}",
         "fma": device.use_fma,
         "kernels": kernel_digest(),
+        "tuning": tuning_digest(),
     }
 
 
 def metadata(
     scene: Scene,
-    settings: RenderSettings,
+    settings: Settings,
     device: Device,
     drawn: Estimate | None,
     before: Estimate | None,
 ) -> dict[str, object]:
     """What image files carry: enough to render them again."""
-    return {
+    chosen = settings.options("sampling", "training", "stopping")
+    found: dict[str, object] = {
         "version": package_version(),
         "scene": scene.name,
         "scene_digest": scene.digest,
         "integrand": settings.integrand.name,
         "method": settings.method,
-        "preset": settings.preset,
-        "sampler": settings.sampler,
+        # Options without an entry have no value: none, or what the preset says.
+        **{name: value for name, value in chosen.items() if value is not None},
         "density": settings.residual_density,
+        "allocation": settings.allocation,
         "spp": _mean_samples(drawn),
         "train_spp": _mean_samples(before),
-        "supersample": settings.supersample,
         "seed": settings.seed,
         "device": device.identity,
-        # Options of the integrand; without an entry: none.
-        **{k: v for k, v in vars(settings.integrand).items() if v is not None and v != math.inf},
     }
+    options = settings.integrand.options.items()
+    return found | {k: v for k, v in options if k not in found and v is not None and v != math.inf}
 
 
 def _mean_samples(estimate: Estimate | None) -> float:

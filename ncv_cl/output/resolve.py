@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..integrands import Integrand
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
+from ..settings.settings import Settings
 from .image import Image
 
 # Below this weight the training samples' estimate is left out: it could not be noticed.
@@ -102,15 +102,12 @@ class PixelGrid:
 
 def resolve_image(
     scene: Scene,
-    integrand: Integrand,
+    settings: Settings,
     points: ShadingPoints,
-    size: tuple[int, int],
-    supersample: int,
     plain: Estimate,
     training: Estimate | None = None,
     residual: Estimate | None = None,
     integral: np.ndarray | None = None,
-    samples: float = 1.0,
     by_count: bool = False,
 ) -> Image:
     """The image of the estimates, with its layers.
@@ -121,10 +118,11 @@ def resolve_image(
         Of f from the render's own samples, of f from the training samples, of f − g.
     integral : ndarray, optional
         float (channels, points.active), G of each active point.
-    samples, by_count
-        As `combine` takes them.
+    by_count : bool
+        As `combine` takes it.
     """
-    grid = PixelGrid(points, size, supersample)
+    integrand, samples = settings.integrand, float(settings.spp)
+    grid = PixelGrid(points, settings.size, settings.sampling.supersample)
     active, everything = slice(0, points.active), slice(0, points.total)
     mean, variance = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     pixels = grid.average(mean, active) + np.zeros(3)

@@ -24,6 +24,8 @@ _ROWS = {
 }
 ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
 ROW_COUNT = sum(_ROWS.values())
+# What an integrand may depend on, and a network's inputs be, in feature order: some of these.
+INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
 # Rays start and end off surfaces by this multiple of the coordinates that enter there (surface.cl): 32
 # rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.

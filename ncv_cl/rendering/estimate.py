@@ -1,4 +1,4 @@
-"""Integrals of other people's functions over the unit square, by the renderer's own machinery."""
+"""Integrals of functions of the user over the unit square, by the renderer's own pipeline."""
 
 from __future__ import annotations
 
@@ -7,21 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.allocate import Allocation, allocate
-from ..estimation.control_variate import ControlVariate, control_variate
-from ..estimation.image_estimate import ImageEstimate
-from ..estimation.passes import pass_edges
-from ..learning.learn import learn
-from ..network.encode import GridCube
+from ..host.clock import Clock, Run, Stopwatch, never
 from ..opencl.choose import choose_device
 from ..opencl.device import Device, HostArray
+from ..output.keep import Keep
 from ..output.report import finite
 from ..output.resolve import combine, estimate_of
 from ..points.points import ROW, ROW_COUNT, ShadingPoints
-from ..sampling.accumulate import Estimate
-from ..sampling.callable import SAMPLES_A_PASS, CallableSource, Function, HostIntegrand
-from ..settings.presets import PRESETS
-from ..settings.settings import RenderSettings, Stopwatch
+from ..sampling.callable import CallableSource, Function, HostIntegrand
+from ..sampling.problem import Problem
+from ..settings.options import Sampling, Stopping, Training, changed, gathered
+from ..settings.settings import Settings
+from .pipeline import Outcome, estimate_integrals
+
+# Of few integrals each bears a wider network.
+WIDE = Training(preset="wide")
+# Features are brought into this cube.
+UNIT_CUBE = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,13 @@ def estimate(
     features: np.ndarray | None = None,
     channels: int = 1,
     method: str = "ncv",
-    sampler: str = "sobol",
     spp: int = 256,
-    train_spp: float | str = "auto",
     seed: int = 0,
-    preset: str = "wide",
-    density: str | None = None,
-    allocation: str | None = None,
     device: Device | int | str | None = None,
+    sampling: Sampling | None = None,
+    training: Training = WIDE,
+    stopping: Stopping | None = None,
+    **options: object,
 ) -> Integrals:
     """Estimate ∫ f(u, v | point) du dv over the unit square for every point.
 
@@ -76,10 +77,10 @@ def estimate(
     channels : int
         Values of f.
     method : {"ncv", "mc"}
-    sampler, spp, train_spp, seed, preset, density, allocation, device
+    spp, seed, device, sampling, training, stopping, **options
         As `render` takes them; `spp` and `train_spp` are samples a point. A call of f counts as much
         as a cheap sample of a scene where "auto" weighs what training costs. The preset is by default
-        the one of least residual, for each of few integrals bears a wider network.
+        the one of least residual, "wide".
 
     Returns
     -------
@@ -89,51 +90,48 @@ def estimate(
     ------
     IntegrandError
         If f returns another shape than it should, or numbers that are not finite.
-    ValueError
-        For bad arguments.
+    ValueError, TypeError
+        For bad arguments, and options of scenes and cameras.
     """
+    started = time.perf_counter()
     if int(points) != points or points < 1 or int(channels) != channels or channels < 1:
         raise ValueError(f"points and channels must be at least 1, got {points!r} and {channels!r}")
     if method not in ("ncv", "mc"):
         raise ValueError(f"method must be ncv or mc, got {method!r}")
-    settings = RenderSettings(
-        HostIntegrand(channels), method, sampler, spp, train_spp, (points, 1), 1, seed, preset, density,
-        allocation,
-    )  # fmt: skip
-    if settings.allocation == "pilot":
-        raise ValueError("allocation 'pilot' is for scenes")
-    device, watch = choose_device(device), Stopwatch()
-    started = time.perf_counter()
-    shading, cube = _points_of(device, points, features)
-    source = CallableSource(device, shading, f, channels, sampler, seed)
+    if method == "mc" and training is WIDE:
+        training = Training()
+    groups = gathered({"sampling": sampling, "training": training, "stopping": stopping}, options)
+    settings = Settings(HostIntegrand(channels), method, spp, (points, 1), seed, **groups)
+    unused = {"supersample", "visibility", "skip_dark"} & set(changed(settings.sampling))
+    if unused or settings.allocation == "pilot":
+        raise ValueError(f"{sorted(unused)[0] if unused else 'allocation pilot'} is for scenes")
+    device = choose_device(device)
+    shading = _points_of(device, points, features)
+    source = CallableSource(device, shading, f, channels, settings.sampling.sampler, seed)
     source.centre()
-    variate = training = None
-    about: dict[str, object] = {}
-    if method == "ncv":
-        variate, training, about = _control_variate(device, source, settings, cube, watch)
-    if variate is not None and variate.density is not None and settings.allocates:
-        chosen = Allocation.of_counts(allocate(variate.density.magnitude, spp))
-    else:
-        chosen = Allocation.uniform(np.arange(points, dtype=np.uint32), spp)
-    folded, table = (variate.folded, variate.density) if variate else (None, None)
-    edges = pass_edges(spp, SAMPLES_A_PASS)
-    image_estimate = ImageEstimate(device, source, settings, chosen, edges, folded, table, watch)
-    image_estimate.passes.run("estimate")
-    results = image_estimate.results()
-    by_count = not PRESETS[preset].density
-    integral = variate.integral if variate else None
-    offset = source.offset[:, None]
-    residual = results[1] if variate else None
-    mean, variance = combine(
-        *estimate_of(results[0], residual, integral), training, float(spp), by_count
-    )
+    problem = Problem(device, shading, source, UNIT_CUBE, ("position",), is_image=False)
+    run = Run(clock=Clock(settings.stopping.time_limit, started), stop=settings.stopping.stop or never)
+    outcome = estimate_integrals(problem, settings, run, Keep())
+    return _integrals(problem, settings, outcome, run.watch, started)
+
+
+def _integrals(
+    problem: Problem, settings: Settings, outcome: Outcome, watch: Stopwatch, started: float
+) -> Integrals:
+    """What the pipeline leaves, with what `CallableSource` has taken off the function added again."""
+    drawn, training, integral = outcome.drawn, outcome.before, outcome.integral
+    offset = problem.source.offset[:, None]
+    estimates = estimate_of(drawn.plain, drawn.residual, integral)
+    mean, variance = combine(*estimates, training, float(settings.spp), outcome.by_count)
     stats: dict[str, object] = {
         "seconds": {**watch.seconds, "total": time.perf_counter() - started},
-        "samples_per_point": float(results[0].samples.mean()),
+        "samples_per_point": float(drawn.plain.samples.mean()),
         "training_samples_per_point": float(training.samples.mean()) if training else 0.0,
-        "training": about,
-        "device": device.identity,
+        "training": outcome.training,
+        "ended_by": drawn.ended_by,
+        "device": problem.device.identity,
     }
+    residual = drawn.residual
     if residual is not None and training is not None and training.known.any():
         spread = training.variance[:, training.known].mean()
         left = residual.variance[:, residual.known].mean() if residual.known.any() else np.nan
@@ -142,10 +140,8 @@ def estimate(
     return Integrals((mean + offset).T, variance.T, network_integral, finite(stats))
 
 
-def _points_of(
-    device: Device, points: int, features: np.ndarray | None
-) -> tuple[ShadingPoints, GridCube]:
-    """Points whose positions are the features, and the cube around these."""
+def _points_of(device: Device, points: int, features: np.ndarray | None) -> ShadingPoints:
+    """Points whose positions are the features, brought into the unit cube."""
     positions = np.zeros((points, 3), np.float32)
     if features is not None:
         features = np.asarray(features)
@@ -166,18 +162,6 @@ def _points_of(
     surface = np.zeros((ROW_COUNT, points), np.float32)
     surface[ROW["POSITION"] : ROW["POSITION"] + 3] = positions.T
     nowhere = np.full(points, -1, np.int32)
-    shading = ShadingPoints(
+    return ShadingPoints(
         HostArray.of(device, surface), np.arange(points, dtype=np.uint32), nowhere, points, 0
     )
-    return shading, GridCube((0.0, 0.0, 0.0), 1.0)
-
-
-def _control_variate(
-    device: Device, source: CallableSource, settings: RenderSettings, cube: GridCube, watch: Stopwatch
-) -> tuple[ControlVariate | None, Estimate, dict[str, object]]:
-    """The control variate, None where training diverged twice; training's estimate and statistics."""
-    learned = learn(device, cube, source, settings, ("position",), lambda _: None, watch, lambda: False)
-    if learned.network is None:
-        return None, learned.estimate, learned.statistics
-    variate = control_variate(device, source.points, settings, learned.network, watch, learned)
-    return variate, learned.estimate, learned.statistics

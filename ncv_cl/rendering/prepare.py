@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from ..host.clock import Stopwatch
+from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
 from ..points.points import ShadingPoints, find_points
 from ..points.trace import Tracer
 from ..sampling.paths import sample_source
-from ..sampling.samples import SampleSource
+from ..sampling.problem import Problem
+from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
-from ..settings.settings import RenderSettings, Stopwatch
+from ..settings.settings import Settings
 from ..visibility.lines import MOST_ON_LINES
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders
 
@@ -16,19 +19,16 @@ from ..visibility.shaft import MOST_OCCLUDERS, Occluders
 def prepare(
     device: Device,
     scene: Scene,
-    settings: RenderSettings,
+    settings: Settings,
     threads: int | None,
-    samples_a_pass: int,
     watch: Stopwatch,
-) -> tuple[ShadingPoints, SampleSource]:
+) -> Problem:
     """Trace the camera's rays, and make ready to sample the points that they hit.
 
     Parameters
     ----------
     threads : int, optional
         Of the host, for tracing; all cores by default.
-    samples_a_pass : int
-        Samples a point that batches leave room for.
     watch : Stopwatch
         Gets the seconds of stages "scene", "points" and "shafts".
     """
@@ -37,12 +37,17 @@ def prepare(
         tracer = Tracer(scene, threads)
     with watch("points"):
         points = find_points(
-            device, scene, tracer, *settings.size, settings.supersample, integrand.emitters_active
+            device,
+            scene,
+            tracer,
+            *settings.size,
+            settings.sampling.supersample,
+            integrand.emitters_active,
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    lines = settings.visibility == "lines"
-    if integrand.to_lights and settings.visibility != "embree" and points.active:
+    lines = settings.sampling.visibility == "lines"
+    if integrand.to_lights and settings.sampling.visibility != "embree" and points.active:
         with watch("shafts"):
             most = MOST_ON_LINES if lines else MOST_OCCLUDERS
             occluders = Occluders(device, scene, points, integrand, most)
@@ -52,20 +57,31 @@ def prepare(
         tracer,
         points,
         integrand,
-        settings.sampler,
+        settings.sampling.sampler,
         settings.seed,
-        samples_a_pass,
+        SAMPLES_A_PASS,
         occluders,
         lines=lines,
-        shadows_tested=settings.visibility != "embree",
+        shadows_tested=settings.sampling.visibility != "embree",
     )
-    return points, source
+    narrowest = 1.0
+    if integrand.defines(scene).get("LIGHT_COUNT"):
+        narrowest = narrowest_strip(scene)
+    return Problem(
+        device,
+        points,
+        source,
+        scene.world_bounds,
+        integrand.inputs,
+        integrand.demodulated,
+        narrowest=narrowest,
+    )
 
 
-def _without_dark(scene: Scene, settings: RenderSettings, points: ShadingPoints) -> ShadingPoints:
+def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:
     """Points that cannot see a light are left out; all others keep their samples either way."""
     dark = settings.integrand.dark(scene, points)
     if dark is None:
         return points
     points = points.with_dark_last(dark)
-    return points.without_last(int(dark.sum())) if settings.skip_dark else points
+    return points.without_last(int(dark.sum())) if settings.sampling.skip_dark else points

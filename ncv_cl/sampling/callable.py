@@ -12,11 +12,9 @@ from ..opencl.program import build
 from ..points.points import ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..scene.load import Scene
-from .samples import Batch, Batches, ray_defines
+from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
 from .warp import Warp
 
-# Samples a point on average in one call of the callable, about.
-SAMPLES_A_PASS = 128
 # How many values a callable's constant is the median of: an odd number at each of some points.
 OFFSET_POINTS, OFFSET_SAMPLES = 256, 17
 # Squares of larger values, and sums of these, are beyond float32.

@@ -21,6 +21,8 @@ from .warp import Warp
 # Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
 NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
+# Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
+SAMPLES_A_PASS = 128
 # Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
@@ -195,7 +197,7 @@ class SampleSource(Batches):
                 shaft, defines = ("shaft", "gaps", "lines"), {**defines, **line_defines()}
             self._occluders = [occluders.stride, occluders.starts, occluders.lists, occluders.corners]
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
-        files = ("common", "sampler", "surface", *integrand.files, *shaft, "samples")
+        files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}

@@ -1,18 +1,18 @@
-"""Scene files: TOML becomes one merged triangle mesh, materials, area lights and a camera."""
+"""Scene files: a TOML file and the mesh files it names become a `Scene`."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
-from . import geometry, meshes, place
-from .geometry import SMALLEST_ROUGHNESS, Mesh
+from . import geometry, meshes
+from .assembly import Assembly, add_lights, read_camera, read_materials
+from .geometry import Mesh
 from .model import Camera, Material, QuadLight, Scene
 from .table import SceneError, Table
 
@@ -34,6 +34,8 @@ _SCENE_KEYS = (
     "meshes",
     "lights",
 )
+# What to do about a mesh file whose coordinates are coarse.
+_COARSE = "export it about its own origin and move it by translate"
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -63,122 +65,16 @@ def load_scene(path: str | Path) -> Scene:
     """
     path = Path(path)
     root = Table(path, "", _read_toml(path), _SCENE_KEYS)
-    camera = _read_camera(root)
-    assembly = _Assembly(_read_materials(root))
+    assembly = Assembly(path, read_camera(root), read_materials(root))
     _add_primitives(root, assembly)
-    _add_mesh_files(root, assembly)
-    lights = _add_lights(root, assembly)
-    scene = assembly.scene(root.text("name", path.stem), path, camera, lights)
+    _add_mesh_files(root, path.parent, assembly)
+    add_lights(root, assembly)
+    if assembly.is_empty:
+        raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
+    scene = assembly.scene(root.text("name", path.stem), path)
     for warning in scene.warnings:
         warnings.warn(warning, stacklevel=2)
     return scene
-
-
-class _Assembly:
-    """The merged mesh as it grows."""
-
-    def __init__(self, materials: list[Material]) -> None:
-        self.materials = materials
-        self._material_index = {material.name: i for i, material in enumerate(materials)}
-        self._parts: list[tuple[Table, str, Mesh, int, int]] = []
-        # Degenerate and all triangles of what a table's key describes.
-        self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
-        self.warnings: list[str] = []
-
-    def named_material(self, table: Table) -> int:
-        name = table.text("material")
-        if name not in self._material_index:
-            known = ", ".join(self._material_index) or "none"
-            raise table.error("material", f"unknown material {name!r}; known materials: {known}")
-        return self._material_index[name]
-
-    def new_material(self, material: Material) -> int:
-        self.materials.append(material)
-        return len(self.materials) - 1
-
-    def warn(self, table: Table, key: str, message: str) -> None:
-        self.warnings.append(str(table.error(key, message)))
-
-    def add(self, table: Table, key: str, mesh: Mesh, material: int, light: int = -1) -> None:
-        """Append a mesh that `table` describes, maybe with others."""
-        self._parts.append((table, key, mesh, material, light))
-
-    def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
-        """The mesh without triangles of no area, which are counted for what `table` describes."""
-        n_triangles = len(mesh.triangles)
-        try:
-            mesh, dropped = geometry.drop_degenerate(mesh)
-        except ValueError as error:
-            raise table.error(key, str(error)) from error
-        _, others, total = self._dropped.get((table.where, key), (table, 0, 0))
-        self._dropped[table.where, key] = (table, others + dropped, total + n_triangles)
-        return mesh
-
-    def _placed(self, camera: Camera) -> tuple[NDArray[np.float64], list[Mesh]]:
-        """The scene's origin, and the meshes about it, in steps of single precision."""
-        surfaces = [mesh for *_, mesh, _, light in self._parts if light < 0]
-        meshes = surfaces or [mesh for *_, mesh, _, _ in self._parts]
-        corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
-        origin = place.scene_origin(corners, camera)
-        placed = []
-        camera = place.moved(camera, origin)
-        for table, key, mesh, _, _ in self._parts:
-            if key.startswith("file") and place.is_coarse(mesh):
-                self.warn(
-                    table,
-                    key,
-                    "its coordinates are in single precision and so large that they are coarse; "
-                    "export it about its own origin and move it by translate",
-                )
-            mesh = replace(mesh, vertices=mesh.vertices - origin)
-            placed.append(self._without_degenerate(table, key, place.cut_huge(mesh, camera)))
-        self._report_dropped()
-        return origin, placed
-
-    def _report_dropped(self) -> None:
-        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
-        for (_, key), (table, dropped, total) in self._dropped.items():
-            if dropped == total:
-                raise table.error(key, "has no area: all its triangles are degenerate")
-            if dropped:
-                message = f"dropped {dropped} degenerate of {total} triangles (they have no area)"
-                self.warn(table, key, message)
-
-    def scene(self, name: str, path: Path, camera: Camera, lights: list[QuadLight]) -> Scene:
-        if not self._parts:
-            raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
-        origin, meshes = self._placed(camera)
-        camera = place.moved(camera, origin)
-        moved = [replace(light, corner=light.corner - origin).single() for light in lights]
-        vertices = np.concatenate([mesh.vertices for mesh in meshes])
-        pixels = place.unresolved_steps(vertices, origin, camera)
-        if pixels:
-            self.warnings.append(
-                f"{path}: single precision cannot resolve the scene: what it rounds makes {pixels:.2g} "
-                f"pixels of a picture of {place.PIXELS} rows; shadows may be missing or wrong. "
-                "Move the camera closer and widen its field of view, or leave out what is far away"
-            )
-        firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-        triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
-        counts = [len(mesh.triangles) for mesh in meshes]
-        scene = Scene(
-            name=name,
-            path=path,
-            camera=camera,
-            materials=tuple(self.materials),
-            lights=tuple(moved),
-            vertices=vertices.astype(np.float32),
-            vertex_normals=np.concatenate([mesh.normals for mesh in meshes]).astype(np.float32),
-            triangles=np.concatenate(triangles).astype(np.uint32),
-            triangle_material=np.repeat([part[3] for part in self._parts], counts).astype(np.int32),
-            triangle_light=np.repeat([part[4] for part in self._parts], counts).astype(np.int32),
-            warnings=tuple(self.warnings),
-            origin=origin,
-        )
-        for array in vars(scene).values():
-            if isinstance(array, np.ndarray):
-                array.setflags(write=False)
-        return scene
 
 
 def _read_toml(path: Path) -> dict[str, object]:
@@ -191,43 +87,7 @@ def _read_toml(path: Path) -> dict[str, object]:
         raise SceneError(f"{path}: not a TOML file: {error}") from error
 
 
-def _read_camera(root: Table) -> Camera:
-    keys = ("position", "target", "up", "vertical_fov")
-    table = Table(root.file, "camera", root.raw("camera"), keys)
-    position, target = table.vector("position"), table.vector("target")
-    up = table.vector("up", (0.0, 1.0, 0.0))
-    forward = target - position
-    if np.linalg.norm(forward) <= 1e-12 * np.abs(position).max():
-        raise table.error("target", "is the same point as camera.position")
-    sine = np.linalg.norm(np.cross(forward, up))
-    if not sine > 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise table.error("up", "is zero or parallel to the view direction")
-    vertical_fov = table.number("vertical_fov")
-    if not 0.0 < vertical_fov < 180.0:
-        message = f"{vertical_fov} is out of range; it must be between 0 and 180 degrees"
-        raise table.error("vertical_fov", message)
-    return Camera(position, target, up, vertical_fov)
-
-
-def _read_materials(root: Table) -> list[Material]:
-    if "materials" not in root:
-        return []
-    names = root.raw("materials")
-    if not isinstance(names, dict):
-        raise root.error("materials", "expected tables [materials.NAME]")
-    materials = []
-    for name, data in names.items():
-        where = f"materials.{name}"
-        table = Table(root.file, where, data, ("albedo", "reflectance", "roughness", "emission"))
-        albedo = table.colour("albedo", high=1.0)
-        reflectance = table.colour("reflectance", default=0.0, high=1.0)
-        roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
-        emission = table.colour("emission", default=0.0)
-        materials.append(Material(name, albedo, reflectance, roughness, emission))
-    return materials
-
-
-def _add_primitives(root: Table, assembly: _Assembly) -> None:
+def _add_primitives(root: Table, assembly: Assembly) -> None:
     for table in root.tables("quads", ("corner", "edge1", "edge2", "material")):
         corners = (table.vector(key) for key in ("corner", "edge1", "edge2"))
         mesh = geometry.quad_mesh(*corners)
@@ -277,7 +137,7 @@ def _read_rotation(table: Table) -> NDArray[np.float64]:
     if not isinstance(value, dict):
         return geometry.euler_angles(table.vector("rotate"))
     where = f"{table.where}.rotate"
-    rotation = Table(table.file, where, value, ("axis", "angle"))
+    rotation = Table(table.source, where, value, ("axis", "angle"))
     axis = rotation.vector("axis")
     if not np.any(axis):
         raise rotation.error("axis", "the axis of rotation is zero")
@@ -304,10 +164,10 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
     return np.asarray(translation @ _read_rotation(table) @ np.diag([*factors, 1.0]))
 
 
-def _add_mesh_files(root: Table, assembly: _Assembly) -> None:
+def _add_mesh_files(root: Table, folder: Path, assembly: Assembly) -> None:
     keys = ("file", "material", "translate", "scale", "rotate", "transform", "smooth")
     for table in root.tables("meshes", keys):
-        file = root.file.parent / table.text("file")
+        file = folder / table.text("file")
         transform = _read_transform(table)
         material = assembly.named_material(table) if "material" in table else None
         smooth = table.flag("smooth", None)
@@ -327,11 +187,11 @@ def _add_mesh_files(root: Table, assembly: _Assembly) -> None:
                         _material_of_file(table, item.material, file.name, assembly)
                     )
                 index = from_file[item.material]
-            assembly.add(table, key, item.mesh, index)
+            assembly.add(table, key, item.mesh, index, advice=_COARSE)
 
 
 def _material_of_file(
-    table: Table, found: meshes.FileMaterial | None, file_name: str, assembly: _Assembly
+    table: Table, found: meshes.FileMaterial | None, file_name: str, assembly: Assembly
 ) -> Material:
     if found is None:
         message = (
@@ -340,7 +200,7 @@ def _material_of_file(
         )
         assembly.warn(table, f"file: {file_name}", message)
         albedo = np.full(3, meshes.FALLBACK_ALBEDO, dtype=np.float32)
-        return Material(file_name, albedo, np.zeros(3, dtype=np.float32), 1.0)
+        return Material(albedo, name=file_name)
     return Material(
         name=f"{file_name}:{found.name}",
         albedo=np.array(found.albedo, dtype=np.float32),
@@ -348,24 +208,3 @@ def _material_of_file(
         roughness=found.roughness,
         emission=np.array(found.emission, dtype=np.float32),
     )
-
-
-def _add_lights(root: Table, assembly: _Assembly) -> list[QuadLight]:
-    """Read the lights and append their triangles, in the order of the lights, to the mesh."""
-    lights = []
-    tables = root.tables("lights", ("corner", "edge1", "edge2", "radiance", "two_sided"))
-    black = np.zeros(3, dtype=np.float32)
-    material = assembly.new_material(Material("light", black, black, 1.0)) if tables else -1
-    for index, table in enumerate(tables):
-        corner, edge1, edge2 = (table.vector(key) for key in ("corner", "edge1", "edge2"))
-        for key, edge in (("edge1", edge1), ("edge2", edge2)):
-            if not np.any(edge):
-                raise table.error(key, "light has no area (the edge has no length)")
-        area = np.linalg.norm(np.cross(edge1, edge2))
-        if area <= 1e-6 * np.linalg.norm(edge1) * np.linalg.norm(edge2):
-            raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
-        mesh = geometry.quad_mesh(corner, edge1, edge2)
-        assembly.add(table, "", mesh, material, light=index)
-        two_sided = bool(table.flag("two_sided", False))
-        lights.append(QuadLight(corner, edge1, edge2, table.colour("radiance"), two_sided))
-    return lights

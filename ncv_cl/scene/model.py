@@ -1,4 +1,8 @@
-"""What a scene is: camera, materials, quad lights and one merged triangle mesh."""
+"""What a scene is: camera, materials, quad lights and one merged triangle mesh.
+
+`Camera`, `Material`, `TriangleMesh` and `QuadLight` are also what `build_scene` makes a scene of. It
+takes any numbers for them, checks these, and keeps the arrays that are described here.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +24,16 @@ class Camera:
 
     Attributes
     ----------
-    position, target, up : float64 (3,)
-        `up` need not be perpendicular to the view direction.
+    position, target : float64 (3,)
+    up : float64 (3,)
+        Named where it is given; it need not be perpendicular to the view direction.
     vertical_fov : float
         Full vertical field of view in degrees, in (0, 180).
     """
 
     position: NDArray[np.float64]
     target: NDArray[np.float64]
-    up: NDArray[np.float64]
+    up: NDArray[np.float64] = field(default_factory=lambda: np.array([0.0, 1.0, 0.0]), kw_only=True)
     vertical_fov: float
 
 
@@ -39,6 +44,7 @@ class Material:
     Attributes
     ----------
     name : str
+        Named where it is given.
     albedo : float32 (3,)
         Diffuse reflectance, linear RGB in [0, 1].
     reflectance : float32 (3,)
@@ -49,11 +55,34 @@ class Material:
         Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
     """
 
-    name: str
+    name: str = field(default="", kw_only=True)
     albedo: NDArray[np.float32]
-    reflectance: NDArray[np.float32]
-    roughness: float
+    reflectance: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
+    roughness: float = 1.0
     emission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """Triangles of one material, as `build_scene` takes them.
+
+    Attributes
+    ----------
+    vertices : array (n_vertices, 3)
+        World positions.
+    triangles : array of integers (n_triangles, 3)
+        Each triangle's three rows of `vertices`, counted from 0.
+    material : str
+        A key of the scene's materials.
+    normals : array (n_vertices, 3), optional
+        Shading normals of any length, to be interpolated. Triangles whose three are zero, and all where
+        there are none, are shaded with their own.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    material: str
+    normals: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +103,7 @@ class QuadLight:
     edge1: NDArray[np.float32]
     edge2: NDArray[np.float32]
     radiance: NDArray[np.float32]
-    two_sided: bool
+    two_sided: bool = False
 
     @property
     def normal(self) -> NDArray[np.float32]:
@@ -107,10 +136,10 @@ class Scene:
     ----------
     name : str
     path : Path or None
-        The file the scene was read from.
+        The file the scene was read from; None where there was none.
     camera : Camera
     materials : tuple of Material
-        Those of the scene file in order, then those of mesh files, then a black one for lights.
+        Those of the scene in order, then those of mesh files, then a black one for lights.
     lights : tuple of QuadLight
         May be empty: ambient occlusion needs none.
     vertices : float32 (n_vertices, 3)
@@ -123,7 +152,7 @@ class Scene:
     triangle_light : int32 (n_triangles,)
         Index into `lights`, or -1.
     warnings : tuple of str
-        What the reader put right, such as dropped triangles.
+        What was put right, such as dropped triangles.
     origin : float64 (3,)
         World position of this scene's origin: 0 unless the scene lies far from the world's.
     """

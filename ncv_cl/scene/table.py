@@ -1,9 +1,10 @@
-"""Checked access to the tables of a scene file: every error names file, key and index."""
+"""Checked access to what describes a scene: every error names file or caller, key and index."""
 
 from __future__ import annotations
 
 import difflib
 import math
+import numbers
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -11,22 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+_LARGEST = float(np.finfo(np.float32).max)
+
 
 class SceneError(ValueError):
-    """A scene cannot be used as it is; the message names the file, the key and the index."""
+    """A scene cannot be used as it is; the message names file or caller, key and index."""
 
 
 class Table:
-    """One TOML table whose values are read with their type and range checked.
+    """One TOML table, or what a caller gave in its place, read with type and range checked.
 
     Parameters
     ----------
-    file : Path
-        The scene file, for error messages.
+    source : Path or str
+        The scene file, or the function that was called, for error messages.
     where : str
-        The table's place in the file, such as ``lights[1]``; empty for the top level.
+        The table's place in there, such as ``lights[1]``; empty for the top level.
     data : object
-        What the TOML reader returned for that place.
+        What the TOML reader returned for that place, or a dict of the caller's values: for lists these
+        may have tuples and numpy arrays, for numbers numpy's.
     keys : collection of str
         The keys that may occur.
 
@@ -36,11 +40,11 @@ class Table:
         If `data` is no table or has a key that is not in `keys`.
     """
 
-    def __init__(self, file: Path, where: str, data: object, keys: Collection[str]) -> None:
-        self.file = file
+    def __init__(self, source: Path | str, where: str, data: object, keys: Collection[str]) -> None:
+        self.source = source
         self.where = where
         if not isinstance(data, dict):
-            raise SceneError(f"{file}: {where}: expected a table, got {_describe(data)}")
+            raise SceneError(f"{source}: {where}: expected a table, got {_describe(data)}")
         self._data: dict[str, Any] = data
         for key in data:
             if key not in keys:
@@ -53,7 +57,7 @@ class Table:
     def error(self, key: str, message: str) -> SceneError:
         """A `SceneError` that says where `key` stands; the caller raises it."""
         place = ".".join(part for part in (self.where, key) if part)
-        return SceneError(f"{self.file}: {place}: {message}")
+        return SceneError(f"{self.source}: {place}: {message}")
 
     def raw(self, key: str) -> Any:
         """The value of a required key, unchecked."""
@@ -66,7 +70,7 @@ class Table:
         entries = self._data.get(key, [])
         if not isinstance(entries, list):
             raise self.error(key, f"expected an array of tables [[{key}]]")
-        return [Table(self.file, f"{key}[{i}]", entry, keys) for i, entry in enumerate(entries)]
+        return [Table(self.source, f"{key}[{i}]", entry, keys) for i, entry in enumerate(entries)]
 
     def number(
         self,
@@ -95,6 +99,7 @@ class Table:
 
     def vector_value(self, key: str, value: object) -> NDArray[np.float64]:
         """Check three numbers that were found inside another value, named `key` in errors."""
+        value = _plain(value)
         if not isinstance(value, list) or len(value) != 3:
             raise self.error(key, f"expected 3 numbers [x, y, z], got {_describe(value)}")
         return np.array([self._checked(f"{key}[{i}]", v) for i, v in enumerate(value)])
@@ -106,7 +111,7 @@ class Table:
         high: float = math.inf,
     ) -> NDArray[np.float32]:
         """A number or three, each in [0, `high`]: linear RGB, float32 (3,)."""
-        value = self.raw(key) if default is None else self._data.get(key, default)
+        value = _plain(self.raw(key) if default is None else self._data.get(key, default))
         if not isinstance(value, list):
             return np.full(3, self._checked(key, value, 0.0, high), dtype=np.float32)
         if len(value) != 3:
@@ -131,6 +136,29 @@ class Table:
             raise self.error(f"{key}[3]", "the last row of an affine transform is [0, 0, 0, 1]")
         return matrix
 
+    def points(self, key: str) -> NDArray[np.float64]:
+        """An array of points or vectors, finite, float64 (n, 3)."""
+        found = self._array(key, "fiu", "numbers (n, 3)").astype(np.float64)
+        usable = np.abs(found) <= _LARGEST
+        if not usable.all():
+            row, column = np.argwhere(~usable)[0]
+            self._checked(f"{key}[{row}][{column}]", float(found[row, column]))
+        return found
+
+    def indices(self, key: str, count: int) -> NDArray[np.int64]:
+        """An array of triangles, each three indices below `count`; int64 (n, 3), n at least 1."""
+        found = self._array(key, "iu", "whole numbers (n, 3)")
+        if not len(found):
+            raise self.error(key, "holds no triangle")
+        outside = np.flatnonzero(((found < 0) | (found >= count)).any(axis=1))
+        if len(outside):
+            raise self.error(
+                f"{key}[{outside[0]}]",
+                f"refers to the vertices {found[outside[0]].tolist()}, but there are {count}, "
+                "counted from 0",
+            )
+        return found.astype(np.int64)
+
     def text(self, key: str, default: str | None = None) -> str:
         """A string that is not empty."""
         value = self.raw(key) if default is None else self._data.get(key, default)
@@ -140,21 +168,41 @@ class Table:
 
     def flag(self, key: str, default: bool | None) -> bool | None:
         """A boolean, or `default` where the key is absent."""
-        if key in self and not isinstance(self._data[key], bool):
+        if key not in self:
+            return default
+        if not isinstance(self._data[key], (bool, np.bool_)):
             raise self.error(key, f"expected true or false, got {self._data[key]!r}")
-        return self._data.get(key, default)
+        return bool(self._data[key])
+
+    def _array(self, key: str, kinds: str, expected: str) -> NDArray[Any]:
+        """What numpy makes of a value: (n, 3), of a dtype of one of `kinds`."""
+        try:
+            found = np.asarray(self.raw(key))
+        except ValueError as error:  # rows of unequal lengths
+            raise self.error(key, f"expected {expected}: {error}") from error
+        if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in kinds:
+            raise self.error(key, f"expected {expected}, got {found.dtype} {found.shape}")
+        return found
 
     def _checked(
         self, place: str, value: object, low: float = -math.inf, high: float = math.inf
     ) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        value = _plain(value)
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise self.error(place, f"expected a number, got {_describe(value)}")
-        if not math.isfinite(value) or abs(value) > np.finfo(np.float32).max:
+        if not math.isfinite(value) or abs(value) > _LARGEST:
             raise self.error(place, f"{value} is not a finite single-precision number")
         if not low <= value <= high:
             limits = f"from {low:g} to {high:g}" if high < math.inf else f"at least {low:g}"
             raise self.error(place, f"{value} is out of range; it must be {limits}")
         return float(value)
+
+
+def _plain(value: object) -> object:
+    """Lists for tuples and numpy arrays."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _describe(value: object) -> str:

@@ -1,117 +1,115 @@
-"""What a render is asked for, checked, and the stopwatch it carries."""
+"""What a render is asked for, checked."""
 
 from __future__ import annotations
 
-import math
+import dataclasses
 import numbers
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..integrands import Integrand
-from ..points.sampler import SAMPLERS, HostStream, host_generator, seed_words
-from .presets import PRESETS
+from ..network.network import Network
+from ..points.sampler import HostStream, host_generator, seed_words
+from .options import MOST_CELLS, MOST_SAMPLES, Files, Sampling, Stopping, Training, changed, check_whole
+from .presets import PRESETS, Preset
 
 METHODS = ("auto", "ncv", "mc")
-DENSITIES = ("table", "subdivision", "none")
-VISIBILITIES = ("auto", "lines", "embree")
-ALLOCATIONS = ("magnitude", "pilot", "uniform")
-# What the kernels' indices of 32 bits can count.
-MOST_SAMPLES = 1 << 31
-MOST_CELLS = (1 << 31) - 1
-
-
-@dataclass
-class Stopwatch:
-    """Seconds per stage."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def add(self, stage: str, seconds: float) -> None:
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        self.add(stage, time.perf_counter() - started)
 
 
 @dataclass(frozen=True)
-class RenderSettings:
-    """What to render and how; see `render` for the meaning of each."""
+class Settings:
+    """What to render and how; see `render` and the groups of options for the meaning of each.
+
+    Attributes
+    ----------
+    method : {"auto", "ncv", "mc"}
+        Once the render is planned, "ncv" or "mc".
+    """
 
     integrand: Integrand
     method: str
-    sampler: str
     spp: int
-    train_spp: float | str
     size: tuple[int, int]
-    supersample: int
     seed: int
-    preset: str
-    density: str | None = None
-    allocation: str | None = None
-    target_mse: float | None = None
-    time_limit: float | None = None
-    skip_dark: bool = True
-    visibility: str = "auto"
+    sampling: Sampling = field(default_factory=Sampling)
+    training: Training = field(default_factory=Training)
+    stopping: Stopping = field(default_factory=Stopping)
 
     def __post_init__(self) -> None:
-        self._check_accumulator()
         if self.method not in METHODS:
             raise ValueError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        if self.sampler not in SAMPLERS:
-            raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
-        if self.visibility not in VISIBILITIES:
-            raise ValueError(
-                f"visibility must be one of {', '.join(VISIBILITIES)}, got {self.visibility!r}"
-            )
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
-        if self.train_spp != "auto":
-            _check_real("train_spp", self.train_spp, MOST_SAMPLES, " or 'auto'")
-        _check_whole("spp", self.spp, MOST_SAMPLES)
+        check_whole("spp", self.spp, MOST_SAMPLES)
         if not isinstance(self.size, (tuple, list)) or len(self.size) != 2:
             raise ValueError(f"size must be a width and a height, got {self.size!r}")
         for name, value in (("size[0]", self.size[0]), ("size[1]", self.size[1])):
-            _check_whole(name, value, MOST_CELLS)
-        _check_whole("supersample", self.supersample, MOST_CELLS)
-        if self.size[0] * self.size[1] * self.supersample**2 > MOST_CELLS:
+            check_whole(name, value, MOST_CELLS)
+        if self.columns * self.rows > MOST_CELLS:
             raise ValueError(
-                f"size {self.size[0]} x {self.size[1]} with supersample {self.supersample} makes more "
-                f"than {MOST_CELLS} sub-pixels"
+                f"size {self.size[0]} x {self.size[1]} with supersample {self.sampling.supersample} "
+                f"makes more than {MOST_CELLS} sub-pixels"
             )
         seed_words(self.seed)
+        self._check_method()
 
-    def _check_accumulator(self) -> None:
-        if self.density not in (None, *DENSITIES):
-            raise ValueError(f"density must be one of {', '.join(DENSITIES)}, got {self.density!r}")
-        if self.allocation not in (None, *ALLOCATIONS):
+    def _check_method(self) -> None:
+        """No option is dropped without a word: those of the other method are errors."""
+        allocation = self.sampling.allocation
+        if self.method != "mc":
+            if allocation == "pilot":
+                raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
+            return
+        if allocation == "magnitude":
             raise ValueError(
-                f"allocation must be one of {', '.join(ALLOCATIONS)}, got {self.allocation!r}"
+                "plain Monte Carlo learns no residual: allocation 'magnitude' needs method 'ncv' "
+                "(allocation 'pilot' suits 'mc')"
             )
-        learned = self.density not in (None, "none")
-        if self.method == "mc" and (learned or self.allocation == "magnitude"):
+        unused = [
+            name
+            for name in changed(self.training)
+            if (name, self.training.density) != ("density", "none")
+        ]
+        if unused:
             raise ValueError(
-                "plain Monte Carlo learns no residual: densities 'table' and 'subdivision', and "
-                "allocation 'magnitude', need method 'ncv' (allocation 'pilot' suits 'mc')"
+                f"plain Monte Carlo trains and uses no network: {', '.join(unused)} "
+                "would have no effect; leave it out, or take method 'ncv' or 'auto'"
             )
-        if self.method != "mc" and self.allocation == "pilot":
-            raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
-        for name, value in (("target_mse", self.target_mse), ("time_limit", self.time_limit)):
-            if value is not None:
-                _check_real(name, value, math.inf)
+
+    def check_files(self, files: Files) -> None:
+        """Refuse to promise a file that this method cannot write."""
+        if self.method == "mc" and files.save_network is not None:
+            raise ValueError("plain Monte Carlo has no network to save: take method 'ncv' or 'auto'")
+
+    def planned(self, method: str) -> Settings:
+        """The same with the method that "auto" stands for."""
+        if method == "ncv":
+            return dataclasses.replace(self, method=method)
+        # What only a network would need has no meaning then.
+        allocation = None if self.sampling.allocation == "magnitude" else self.sampling.allocation
+        sampling = dataclasses.replace(self.sampling, allocation=allocation)
+        return dataclasses.replace(self, method=method, sampling=sampling, training=Training())
+
+    @property
+    def preset(self) -> Preset:
+        """The network and its schedule."""
+        return PRESETS[self.training.preset]
+
+    @property
+    def columns(self) -> int:
+        """Sub-pixels of a row."""
+        return int(self.size[0]) * int(self.sampling.supersample)
+
+    @property
+    def rows(self) -> int:
+        """Sub-pixels of a column."""
+        return int(self.size[1]) * int(self.sampling.supersample)
 
     @property
     def residual_density(self) -> str:
-        """One of `DENSITIES`: what the residual is sampled by."""
+        """What the residual is sampled by: "table", "subdivision" or "none"."""
         if self.method == "mc":
             return "none"
-        return self.density or ("table" if PRESETS[self.preset].density else "none")
+        return self.training.density or ("table" if self.preset.density else "none")
 
     @property
     def uses_density(self) -> bool:
@@ -119,16 +117,21 @@ class RenderSettings:
         return self.residual_density != "none"
 
     @property
-    def allocates(self) -> bool:
-        """Whether points get samples by the magnitude of their residual."""
-        chosen = self.allocation or ("magnitude" if PRESETS[self.preset].density else "uniform")
-        return self.method != "mc" and chosen == "magnitude"
+    def allocation(self) -> str:
+        """How samples are spent over the image: "magnitude", "pilot" or "uniform"."""
+        follows = self.method != "mc" and self.preset.density
+        return self.sampling.allocation or ("magnitude" if follows else "uniform")
+
+    @property
+    def needs_magnitude(self) -> bool:
+        """Whether the residual's magnitude is to be learned: for its density, or for the allocation."""
+        return self.method != "mc" and (self.uses_density or self.allocation == "magnitude")
 
     @property
     def guides(self) -> bool:
         """Whether training also learns where light comes from, for paths behind the first bounce."""
         integrand = self.integrand
-        return integrand.nested and integrand.guided and PRESETS[self.preset].density
+        return integrand.nested and integrand.guided and self.preset.density
 
     def training_points(
         self, active: int, samples_a_point: int, auto_samples: int
@@ -142,10 +145,10 @@ class RenderSettings:
         auto_samples : int
             Samples in all for `train_spp` "auto".
         """
-        spp = self.train_spp
+        spp = self.training.train_spp
         if spp == "auto":
             spp = min(auto_samples / active, max(self.spp / 4, 1.0))
-        if not PRESETS[self.preset].subset or spp >= samples_a_point:
+        if not self.preset.subset or spp >= samples_a_point:
             return np.arange(active, dtype=np.uint32), max(1, round(spp))
         count = min(active, max(1, round(active * spp / samples_a_point)))
         # One point at random of each of `count` runs: spread over the image, without a pattern.
@@ -156,16 +159,15 @@ class RenderSettings:
         samples = samples_a_point if active * spp >= samples_a_point else max(1, round(active * spp))
         return picks.astype(np.uint32), samples
 
-
-def _check_whole(name: str, value: object, most: int) -> None:
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not 1 <= value <= most or int(value) != value:
-        raise ValueError(
-            f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}"
-        )
-
-
-def _check_real(name: str, value: object, most: float, other: str = "") -> None:
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not 0 < value <= most or value == math.inf:
-        raise ValueError(f"{name} must be a positive number{other}, got {value!r}")
+    def options(self, *groups: str) -> dict[str, object]:
+        """The options of some groups, as JSON can hold them; a network by its digest."""
+        found: dict[str, object] = {}
+        for name in groups:
+            group = getattr(self, name)
+            for one in dataclasses.fields(group):
+                value = getattr(group, one.name)
+                if isinstance(value, Network):
+                    value = value.digest
+                if value is None or isinstance(value, (str, numbers.Real)):
+                    found[one.name] = value
+        return found

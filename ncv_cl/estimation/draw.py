@@ -1,0 +1,114 @@
+"""The passes of a render: allocation, samples, and their end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..host.clock import Run
+from ..sampling.accumulate import Estimate
+from ..sampling.problem import Problem
+from ..settings.settings import Settings
+from .allocate import Allocation, allocate
+from .control_variate import ControlVariate
+from .image_estimate import ImageEstimate
+from .passes import edges_of
+from .pilot import allocate_by_pilot
+from .stopping import ErrorTarget, Stopping
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the passes leave.
+
+    Attributes
+    ----------
+    plain : Estimate
+        Of f.
+    residual : Estimate, optional
+        Of f - g.
+    allocation : Allocation
+    ended_by : {"samples", "target_mse", "time_limit", "request"}
+    points_done_twice : int
+    """
+
+    plain: Estimate
+    residual: Estimate | None
+    allocation: Allocation
+    ended_by: str
+    points_done_twice: int
+
+
+def allocation_of(
+    problem: Problem, settings: Settings, variate: ControlVariate | None, pilot: Estimate | None
+) -> Allocation:
+    """How many samples each point gets."""
+    by_residual = variate is not None and variate.density is not None
+    if by_residual and settings.allocation == "magnitude":
+        return Allocation.of_counts(allocate(variate.density.magnitude, settings.spp))
+    if pilot is not None and settings.allocation == "pilot":
+        return allocate_by_pilot(pilot, settings.spp)
+    everything = np.arange(problem.points.active, dtype=np.uint32)
+    return Allocation.uniform(everything, settings.spp)
+
+
+def begin(
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    variate: ControlVariate | None,
+    allocation: Allocation,
+    done: list[int] | None = None,
+) -> ImageEstimate:
+    """An image's estimates without a sample yet.
+
+    Parameters
+    ----------
+    done : list of int, optional
+        As `edges_of` takes it.
+    """
+    edges = edges_of(settings, problem.points.active, done)
+    folded, density = (variate.folded, variate.density) if variate else (None, None)
+    return ImageEstimate(problem, settings, allocation, edges, folded, density, run.watch)
+
+
+def draw(
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    image_estimate: ImageEstimate,
+    target: ErrorTarget,
+    after_pass: Callable[[], None],
+) -> str:
+    """Draw the passes that are not done, until there is enough; returns why they ended.
+
+    Parameters
+    ----------
+    after_pass : callable
+        Called before the first and after every pass.
+    """
+    after_pass()
+    if not problem.points.active:
+        return "samples"
+    if settings.stopping.time_limit is not None:
+        with run.watch("compile"):
+            image_estimate.warm_up()
+    stopping = Stopping(image_estimate, target, run)
+
+    def enough(done: int) -> bool:
+        after_pass()
+        return stopping.enough(done)
+
+    if image_estimate.done and run.clock.over():
+        return "time_limit"
+    image_estimate.passes.run("render", run.progress, enough, image_estimate.done)
+    return stopping.ended_by
+
+
+def finish(image_estimate: ImageEstimate, allocation: Allocation, ended_by: str) -> Drawn:
+    """The final estimates; what only drawing needed is let go of."""
+    twice = len(image_estimate.twice)
+    plain, residual = image_estimate.end()
+    return Drawn(plain, residual, allocation, ended_by, twice)

@@ -1,0 +1,56 @@
+"""An image's statistics and metadata: how it was made, and what the scene did not need."""
+
+from __future__ import annotations
+
+from ..host.clock import Stopwatch
+from ..output.image import Image
+from ..output.report import metadata, seconds_of, skips, statistics
+from ..sampling.problem import Problem
+from ..scene.load import Scene
+from ..settings.settings import Settings
+from .pipeline import Outcome
+
+
+def describe(
+    image: Image,
+    scene: Scene,
+    settings: Settings,
+    problem: Problem,
+    outcome: Outcome,
+    watch: Stopwatch,
+    total: float,
+) -> None:
+    """Fill `image.stats` and `image.metadata`.
+
+    Parameters
+    ----------
+    settings : Settings
+        As they were asked for.
+    total : float
+        Seconds of the whole render.
+    """
+    points, rays, drawn = problem.points, problem.source.rays, outcome.drawn
+    stats: dict[str, object] = {"seconds": seconds_of(watch, rays, total)}
+    stats |= statistics(
+        points,
+        rays,
+        problem.device,
+        drawn.plain,
+        outcome.before,
+        drawn.residual,
+        outcome.network,
+        drawn.points_done_twice,
+    )
+    if outcome.training:
+        stats["training"] = outcome.training
+    if settings.method == "auto":
+        stats["auto"] = outcome.plan.as_dict()
+    stats["ended_by"] = drawn.ended_by
+    stats["skipped"] = {
+        **skips(points, rays, settings.integrand.inputs, problem.inputs),
+        **outcome.idle,
+        **drawn.allocation.converged(),
+    }
+    image.stats = stats
+    sampled = (drawn.plain, outcome.before) if points.active else (None, None)
+    image.metadata = metadata(scene, settings, problem.device, *sampled)

@@ -1,0 +1,169 @@
+"""The one order of the stages: plan, control variate, samples; for images and functions of the user."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..estimation.control_variate import ControlVariate, Trained, control_variate, idle
+from ..estimation.draw import Drawn, allocation_of, begin, draw, finish
+from ..estimation.pilot import draw_pilot
+from ..estimation.plan import Plan, make_plan
+from ..estimation.stopping import ErrorTarget
+from ..host.clock import UNLIMITED, Run
+from ..learning.learn import learn
+from ..network.network import Network
+from ..output.checkpoint import Checkpoint
+from ..output.keep import Keep
+from ..sampling.accumulate import Estimate
+from ..sampling.guide import Guide
+from ..sampling.problem import Problem
+from ..settings.settings import Settings
+
+
+@dataclass(frozen=True)
+class Before:
+    """What there is before the samples that count.
+
+    Attributes
+    ----------
+    trained : Trained, optional
+        The network; None for plain Monte Carlo.
+    estimate : Estimate, optional
+        Of f, from the samples of training or of a pilot.
+    about : dict
+        How the network was trained, if it was.
+    guide : Guide, optional
+        What guides paths.
+    """
+
+    trained: Trained | None = None
+    estimate: Estimate | None = None
+    about: dict[str, object] | None = None
+    guide: Guide | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the stages leave, for `resolve`.
+
+    Attributes
+    ----------
+    plan : Plan
+    drawn : Drawn
+    before : Estimate, optional
+        Of f, from the samples of training or of a pilot.
+    network : Network, optional
+        That was used.
+    integral : ndarray, optional
+        float32 (channels, points), G of each active point.
+    training, idle : dict
+        How the network was trained, and what of it the points do not need.
+    """
+
+    plan: Plan
+    drawn: Drawn
+    before: Estimate | None
+    network: Network | None
+    integral: np.ndarray | None
+    training: dict[str, object]
+    idle: dict[str, object]
+
+    @property
+    def by_count(self) -> bool:
+        """Whether the slides' rule weighs training samples: by their number."""
+        return not self.plan.settings.preset.density
+
+
+def estimate_integrals(
+    problem: Problem, settings: Settings, run: Run, keep: Keep, given: Trained | None = None
+) -> Outcome:
+    """Estimate the integrals of all points.
+
+    Parameters
+    ----------
+    keep : Keep
+        Where to write networks and checkpoints, and what to go on from.
+    given : Trained, optional
+        A network to use instead of training one.
+    """
+    resumed = keep.resumed
+    if resumed is not None:
+        plan = Plan(settings.planned(resumed.method), "as it was begun")
+        before = _resumed(problem, plan.settings, resumed)
+    else:
+        wanted = given is not None or keep.network is not None
+        plan = make_plan(problem, settings, wanted)
+        before = _learned(problem, plan.settings, run, given)
+    settings = plan.settings
+    variate = None
+    if before.trained is not None:
+        # What was begun before is gone on with as it was.
+        untimed = run if resumed is None else replace(run, clock=UNLIMITED)
+        variate = control_variate(problem, settings, untimed, before.trained, keep.save_network)
+    if variate is None:
+        keep.note_no_network()
+    drawn = _drawn(problem, settings, run, keep, before, variate)
+    return Outcome(
+        plan=plan,
+        drawn=drawn,
+        before=before.estimate,
+        network=variate.folded.network if variate else None,
+        integral=variate.integral if variate else None,
+        training=before.about or {},
+        idle=idle(variate, problem.points.active) if variate else {},
+    )
+
+
+def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | None) -> Before:
+    """Train what the method needs."""
+    if settings.method == "mc":
+        if settings.allocation == "pilot" and problem.points.active:
+            return Before(estimate=draw_pilot(problem, settings, run))
+        return Before()
+    if given is not None:
+        given.network.check_fits(settings.integrand.channels, problem.inputs)
+        return Before(given)
+    learned = learn(problem, settings, run)
+    trained = None
+    if learned.network is not None:
+        trained = Trained(learned.network, samples=learned.samples)
+    return Before(trained, learned.estimate, learned.statistics, learned.guide)
+
+
+def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Before:
+    """What a checkpoint holds of the same."""
+    resumed.check_arrays(settings.integrand.channels, problem.points.active, settings.needs_magnitude)
+    if resumed.guide is not None:
+        problem.source.use_guide(resumed.guide)
+    trained = None
+    if resumed.network is not None:
+        trained = Trained(resumed.network, resumed.density, resumed.alpha)
+    return Before(trained, resumed.before, guide=resumed.guide)
+
+
+def _drawn(
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    keep: Keep,
+    before: Before,
+    variate: ControlVariate | None,
+) -> Drawn:
+    """Draw the samples that count, from where a checkpoint ended."""
+    resumed = keep.resumed
+    allocation = allocation_of(problem, settings, variate, before.estimate)
+    done = None if resumed is None else resumed.edges
+    image_estimate = begin(problem, settings, run, variate, allocation, done)
+    if resumed is not None:
+        image_estimate.restore(resumed.states, resumed.parts, resumed.passes)
+    share = variate.density.uniform_share if variate and image_estimate.follows_density else 1.0
+    target = ErrorTarget(settings.stopping.target_mse, problem.narrowest, share)
+
+    def after_pass() -> None:
+        with run.watch("checkpoint"):
+            keep.write(image_estimate, before.estimate, variate, before.guide)
+
+    ended_by = draw(problem, settings, run, image_estimate, target, after_pass)
+    return finish(image_estimate, allocation, ended_by)

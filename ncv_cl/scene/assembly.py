@@ -1,0 +1,222 @@
+"""What scene files and `build_scene` share: checked parts, merged and placed, become a `Scene`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import geometry, place
+from .geometry import SMALLEST_ROUGHNESS, Mesh
+from .model import Camera, Material, QuadLight, Scene
+from .table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A mesh of one material that a key of a table describes, maybe with others.
+
+    Attributes
+    ----------
+    light : int
+        Index of the light that it is, or -1.
+    advice : str
+        What to do where its coordinates are coarse; empty where that is not asked.
+    """
+
+    table: Table
+    key: str
+    mesh: Mesh
+    material: int
+    light: int
+    advice: str
+
+
+class Assembly:
+    """The scene as it grows.
+
+    Parameters
+    ----------
+    source : Path or str
+        Where it comes from, for messages.
+    camera : Camera
+    materials : list of Material
+        Those that meshes may name; others may follow.
+    """
+
+    def __init__(self, source: Path | str, camera: Camera, materials: list[Material]) -> None:
+        self.materials = materials
+        self._source = source
+        self._camera = camera
+        self._material_index = {material.name: i for i, material in enumerate(materials)}
+        self._parts: list[_Part] = []
+        self._lights: list[QuadLight] = []
+        # Degenerate and all triangles of what a table's key describes.
+        self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
+        self.warnings: list[str] = []
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to see, not even a light."""
+        return not self._parts
+
+    def named_material(self, table: Table) -> int:
+        name = table.text("material")
+        if name not in self._material_index:
+            known = ", ".join(self._material_index) or "none"
+            raise table.error("material", f"unknown material {name!r}; known materials: {known}")
+        return self._material_index[name]
+
+    def new_material(self, material: Material) -> int:
+        self.materials.append(material)
+        return len(self.materials) - 1
+
+    def warn(self, table: Table, key: str, message: str) -> None:
+        self.warnings.append(str(table.error(key, message)))
+
+    def add(self, table: Table, key: str, mesh: Mesh, material: int, advice: str = "") -> None:
+        """Append a mesh that `table` describes, maybe with others; `advice`: see `_Part`."""
+        self._parts.append(_Part(table, key, mesh, material, -1, advice))
+
+    def add_light(self, table: Table, light: QuadLight, material: int) -> None:
+        """Append a light, in double precision, and its triangles. Lights follow all other meshes."""
+        mesh = geometry.quad_mesh(light.corner, light.edge1, light.edge2)
+        self._parts.append(_Part(table, "", mesh, material, len(self._lights), ""))
+        self._lights.append(light)
+
+    def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
+        """The mesh without triangles of no area, which are counted for what `table` describes."""
+        n_triangles = len(mesh.triangles)
+        try:
+            mesh, dropped = geometry.drop_degenerate(mesh)
+        except ValueError as error:
+            raise table.error(key, str(error)) from error
+        _, others, total = self._dropped.get((table.where, key), (table, 0, 0))
+        self._dropped[table.where, key] = (table, others + dropped, total + n_triangles)
+        return mesh
+
+    def _placed(self) -> tuple[NDArray[np.float64], list[Mesh]]:
+        """The scene's origin, and the meshes about it, in steps of single precision."""
+        surfaces = [part.mesh for part in self._parts if part.light < 0]
+        meshes = surfaces or [part.mesh for part in self._parts]
+        corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+        origin = place.scene_origin(corners, self._camera)
+        placed = []
+        camera = place.moved(self._camera, origin)
+        for part in self._parts:
+            if part.advice and place.is_coarse(part.mesh):
+                self.warn(
+                    part.table,
+                    part.key,
+                    "its coordinates are in single precision and so large that they are coarse; "
+                    + part.advice,
+                )
+            mesh = replace(part.mesh, vertices=part.mesh.vertices - origin)
+            mesh = place.cut_huge(mesh, camera)
+            placed.append(self._without_degenerate(part.table, part.key, mesh))
+        self._report_dropped()
+        return origin, placed
+
+    def _report_dropped(self) -> None:
+        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
+        for (_, key), (table, dropped, total) in self._dropped.items():
+            if dropped == total:
+                raise table.error(key, "has no area: all its triangles are degenerate")
+            if dropped:
+                message = f"dropped {dropped} degenerate of {total} triangles (they have no area)"
+                self.warn(table, key, message)
+
+    def scene(self, name: str, path: Path | None) -> Scene:
+        """All of it, moved to where single precision is finest; it must not be empty."""
+        origin, meshes = self._placed()
+        camera = place.moved(self._camera, origin)
+        lights = [replace(light, corner=light.corner - origin).single() for light in self._lights]
+        vertices = np.concatenate([mesh.vertices for mesh in meshes])
+        pixels = place.unresolved_steps(vertices, origin, camera)
+        if pixels:
+            self.warnings.append(
+                f"{self._source}: single precision cannot resolve the scene: what it rounds makes "
+                f"{pixels:.2g} pixels of a picture of {place.PIXELS} rows; shadows may be missing "
+                "or wrong. Move the camera closer and widen its field of view, or leave out what is far "
+                "away"
+            )
+        firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+        triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
+        counts = [len(mesh.triangles) for mesh in meshes]
+        material, light = np.array([(part.material, part.light) for part in self._parts], np.int32).T
+        scene = Scene(
+            name=name,
+            path=path,
+            camera=camera,
+            materials=tuple(self.materials),
+            lights=tuple(lights),
+            vertices=vertices.astype(np.float32),
+            vertex_normals=np.concatenate([mesh.normals for mesh in meshes]).astype(np.float32),
+            triangles=np.concatenate(triangles).astype(np.uint32),
+            triangle_material=np.repeat(material, counts),
+            triangle_light=np.repeat(light, counts),
+            warnings=tuple(self.warnings),
+            origin=origin,
+        )
+        for array in vars(scene).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+        return scene
+
+
+def read_camera(root: Table) -> Camera:
+    """The table ``camera``, checked."""
+    keys = ("position", "target", "up", "vertical_fov")
+    table = Table(root.source, "camera", root.raw("camera"), keys)
+    position, target = table.vector("position"), table.vector("target")
+    up = table.vector("up", (0.0, 1.0, 0.0))
+    forward = target - position
+    if np.linalg.norm(forward) <= 1e-12 * np.abs(position).max():
+        raise table.error("target", "is the same point as camera.position")
+    sine = np.linalg.norm(np.cross(forward, up))
+    if not sine > 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
+        raise table.error("up", "is zero or parallel to the view direction")
+    vertical_fov = table.number("vertical_fov")
+    if not 0.0 < vertical_fov < 180.0:
+        message = f"{vertical_fov} is out of range; it must be between 0 and 180 degrees"
+        raise table.error("vertical_fov", message)
+    return Camera(position, target, vertical_fov, up=up)
+
+
+def read_materials(root: Table) -> list[Material]:
+    """The tables of ``materials`` in their order, checked."""
+    if "materials" not in root:
+        return []
+    names = root.raw("materials")
+    if not isinstance(names, dict):
+        raise root.error("materials", "expected tables [materials.NAME]")
+    materials = []
+    for name, data in names.items():
+        where = f"materials.{name}"
+        table = Table(root.source, where, data, ("albedo", "reflectance", "roughness", "emission"))
+        albedo = table.colour("albedo", high=1.0)
+        reflectance = table.colour("reflectance", default=0.0, high=1.0)
+        roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
+        emission = table.colour("emission", default=0.0)
+        materials.append(Material(albedo, reflectance, roughness, emission, name=name))
+    return materials
+
+
+def add_lights(root: Table, assembly: Assembly) -> None:
+    """Check the tables of ``lights`` and append them, in their order."""
+    tables = root.tables("lights", ("corner", "edge1", "edge2", "radiance", "two_sided"))
+    black = np.zeros(3, dtype=np.float32)
+    material = assembly.new_material(Material(black, name="light")) if tables else -1
+    for table in tables:
+        corner, edge1, edge2 = (table.vector(key) for key in ("corner", "edge1", "edge2"))
+        for key, edge in (("edge1", edge1), ("edge2", edge2)):
+            if not np.any(edge):
+                raise table.error(key, "light has no area (the edge has no length)")
+        area = np.linalg.norm(np.cross(edge1, edge2))
+        if area <= 1e-6 * np.linalg.norm(edge1) * np.linalg.norm(edge2):
+            raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
+        two_sided = bool(table.flag("two_sided", False))
+        light = QuadLight(corner, edge1, edge2, table.colour("radiance"), two_sided)
+        assembly.add_light(table, light, material)

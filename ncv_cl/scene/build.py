@@ -1,0 +1,116 @@
+"""Scenes built in Python: arrays become what a scene file would."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from .assembly import Assembly, add_lights, read_camera, read_materials
+from .geometry import Mesh, normalised
+from .model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .table import SceneError, Table
+
+# Begins every message, where that of a scene file begins with its path.
+_SOURCE = "build_scene"
+# What to do about vertices that are coarse.
+_COARSE = "give them in double precision"
+_KEYS = ("name", "camera", "materials", "meshes", "lights")
+
+
+def build_scene(
+    camera: Camera,
+    materials: Mapping[str, Material],
+    meshes: Sequence[TriangleMesh],
+    lights: Sequence[QuadLight] = (),
+    name: str = "scene",
+) -> Scene:
+    """Build a scene from arrays, without a file.
+
+    It is checked, moved and cut as `load_scene` does it: the same scene written as a file gives the same
+    bits. Arrays are copied, of whatever precision; double precision counts where coordinates are large.
+
+    Parameters
+    ----------
+    camera : Camera
+    materials : dict of str to Material
+        Keys are the names that meshes give; a `Material.name` is not looked at.
+    meshes : list of TriangleMesh
+    lights : list of QuadLight
+    name : str
+        For messages and metadata.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        If an argument is of another type, an array of another shape, a number not finite or out of
+        range, a vertex's index or a material's name unknown, or a mesh without area. Names argument and
+        index, such as ``meshes[1].triangles[7]``.
+
+    Warns
+    -----
+    UserWarning
+        Where triangles without area were dropped, or single precision cannot resolve what the camera
+        sees; also kept in `Scene.warnings`.
+    """
+    if not isinstance(materials, Mapping):
+        raise SceneError(f"{_SOURCE}: materials: expected a dict of name to Material, got {materials!r}")
+    data = {
+        "name": name,
+        "camera": _table("camera", camera, Camera),
+        "materials": {k: _table(f"materials.{k}", one, Material) for k, one in materials.items()},
+        "meshes": _tables("meshes", meshes, TriangleMesh),
+        "lights": _tables("lights", lights, QuadLight),
+    }
+    root = Table(_SOURCE, "", data, _KEYS)
+    assembly = Assembly(_SOURCE, read_camera(root), read_materials(root))
+    for table in root.tables("meshes", [field.name for field in fields(TriangleMesh)]):
+        mesh, material = _mesh(table), assembly.named_material(table)
+        dtype = np.asarray(table.raw("vertices")).dtype
+        is_single = dtype.kind == "f" and dtype.itemsize <= np.dtype(np.float32).itemsize
+        assembly.add(table, "vertices", mesh, material, _COARSE if is_single else "")
+    add_lights(root, assembly)
+    if assembly.is_empty:
+        raise SceneError(f"{_SOURCE}: the scene is empty: give meshes")
+    scene = assembly.scene(root.text("name"), None)
+    for warning in scene.warnings:
+        warnings.warn(warning, stacklevel=2)
+    return scene
+
+
+def _table(where: str, value: object, kind: type) -> dict[str, object]:
+    """The keys of a scene file's table for one of this module's objects."""
+    if not isinstance(value, kind):
+        raise SceneError(f"{_SOURCE}: {where}: expected a {kind.__name__}, got {_short(value)}")
+    # A material's name is its key; normals may be left out.
+    given = {field.name: getattr(value, field.name) for field in fields(kind)}
+    return {key: one for key, one in given.items() if key != "name" and one is not None}
+
+
+def _tables(where: str, values: object, kind: type) -> list[dict[str, object]]:
+    if not isinstance(values, (list, tuple)):
+        raise SceneError(f"{_SOURCE}: {where}: expected a list of {kind.__name__}, got {_short(values)}")
+    return [_table(f"{where}[{index}]", value, kind) for index, value in enumerate(values)]
+
+
+def _short(value: object) -> str:
+    return f"an array {value.shape}" if isinstance(value, np.ndarray) else repr(value)[:100]
+
+
+def _mesh(table: Table) -> Mesh:
+    vertices = table.points("vertices")
+    triangles = table.indices("triangles", len(vertices))
+    normals = np.zeros_like(vertices)
+    if "normals" in table:
+        normals = normalised(table.points("normals"))
+        if len(normals) != len(vertices):
+            raise table.error(
+                "normals", f"must be as many as vertices, {len(vertices)}, are {len(normals)}"
+            )
+    return Mesh(vertices, normals, triangles)

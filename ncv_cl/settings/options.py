@@ -1,0 +1,246 @@
+"""The options of a render that few people set, in groups; each is declared here and nowhere else.
+
+`gathered` takes them by group or by name, `arguments.py` makes the command line of them, and
+`Settings.options` what metadata and checkpoints say of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import numbers
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..network.network import Network
+from .presets import PRESETS
+
+# What the kernels' indices of 32 bits can count.
+MOST_SAMPLES = 1 << 31
+MOST_CELLS = (1 << 31) - 1
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Where and how samples are drawn.
+
+    Attributes
+    ----------
+    sampler : {"sobol", "independent"}
+        Owen-scrambled Sobol points (one scramble a shading point) or independent ones.
+    supersample : int
+        k makes k × k shading points a pixel, averaged by a box filter.
+    allocation : {"magnitude", "pilot", "uniform"}, optional
+        How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
+        its variance in a quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By
+        default what the preset says for ncv, "uniform" for mc.
+    visibility : {"auto", "lines", "embree"}
+        Test shadow rays that few triangles can block on the device ("auto"), or trace all of them by
+        embree: pixels differ only where a ray grazes an edge. "lines" finds in direct light what is seen
+        of whole lines on the lights, and samples only that: other samples, no shadow rays, less error.
+    skip_dark : bool
+        Leave out points that face away from every light, or else compute their zeros, to compare.
+    """
+
+    sampler: Literal["sobol", "independent"] = "sobol"
+    supersample: int = 1
+    allocation: Literal["magnitude", "pilot", "uniform"] | None = None
+    visibility: Literal["auto", "lines", "embree"] = "auto"
+    skip_dark: bool = True
+
+    def __post_init__(self) -> None:
+        check_choices(self)
+        check_whole("supersample", self.supersample, MOST_CELLS)
+
+
+@dataclass(frozen=True)
+class Training:
+    """The control variate's network, and how it is trained and used.
+
+    Attributes
+    ----------
+    preset : {"default", "wide", "slides"}
+        The network, its schedule and its use: what measured best in time to error, the same with twice
+        as many neurons a layer, or the slides' own.
+    train_spp : float or "auto"
+        Training samples a shading point on average; few are drawn as more of them at fewer points.
+        "auto" draws rounds, each as many samples as all before, while the next one is predicted to pay:
+        from 2^18 samples in all to 2^21, at most `spp` / 4 a point.
+    density : {"table", "subdivision", "none"}, optional
+        Sample the residual where a second network predicts that it is large: constant on 8 × 8 cells,
+        linear on the triangles that the first layer cuts the square into, or uniformly. By default what
+        the preset says.
+    network : Network, str or Path, optional
+        A trained network, or its file, to use instead of training one. Only a file holds the density as
+        well. Control coefficients belong to the image they were found for, and are 1 here.
+    """
+
+    preset: Literal["default", "wide", "slides"] = "default"
+    train_spp: float | Literal["auto"] = "auto"
+    density: Literal["table", "subdivision", "none"] | None = None
+    network: Network | str | Path | None = None
+
+    def __post_init__(self) -> None:
+        check_choices(self)
+        if self.train_spp != "auto":
+            check_real("train_spp", self.train_spp, MOST_SAMPLES, " or 'auto'")
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """When a render ends before all of its samples are drawn.
+
+    Attributes
+    ----------
+    target_mse : float, optional
+        End after the pass in which the image's mean square error is estimated to be this. An estimate is
+        believed only when thousands of the image's samples are to be expected on each light.
+    time_limit : float, optional
+        End before the pass that would outlast so many seconds. Passes are then short, and training ends
+        in time; what no limit can interrupt is one such pass, and the compilation of kernels that the
+        driver has not kept. Bits then depend on the clock.
+    stop : callable, optional
+        Asked between passes; True ends rendering with the passes done so far.
+    """
+
+    target_mse: float | None = None
+    time_limit: float | None = None
+    stop: Callable[[], bool] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("target_mse", "time_limit"):
+            if getattr(self, name) is not None:
+                check_real(name, getattr(self, name), math.inf)
+
+
+@dataclass(frozen=True)
+class Files:
+    """What a render reads and writes beside its scene and its picture.
+
+    Attributes
+    ----------
+    save_network : str or Path, optional
+        Write the trained network and its density here (.npz).
+    checkpoint : str or Path, optional
+        Write what there is here after training and after every pass; a process that is killed loses one
+        pass at most.
+    resume : str or Path, optional
+        Go on from this checkpoint, to the bits that a render without interruption would have had. All
+        else must be as it was, but for the groups stopping, files and machine.
+    reference : ndarray, str or Path, optional
+        An image, float (height, width, 3), or its file, to measure the error against: adds `mse` and
+        `relmse` to the statistics.
+    """
+
+    save_network: str | Path | None = None
+    checkpoint: str | Path | None = None
+    resume: str | Path | None = None
+    reference: np.ndarray | str | Path | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What of the host a render may use.
+
+    Attributes
+    ----------
+    threads : int, optional
+        Host threads that trace rays; all cores by default.
+    """
+
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.threads is not None:
+            check_whole("threads", self.threads, MOST_CELLS)
+
+
+GROUPS: dict[str, type[Any]] = {
+    "sampling": Sampling,
+    "training": Training,
+    "stopping": Stopping,
+    "files": Files,
+    "machine": Machine,
+}
+
+
+def gathered(groups: Mapping[str, object | None], options: Mapping[str, object]) -> dict[str, Any]:
+    """The groups of options, by name: each as it was given or by default, with single options set.
+
+    Parameters
+    ----------
+    groups : mapping
+        Instances of some of `GROUPS`, or None, by the group's name.
+    options : mapping
+        Single options by their own names.
+
+    Raises
+    ------
+    TypeError
+        For a group of another type, and an option that no group has.
+    """
+    found = {}
+    left = dict(options)
+    for name, group in groups.items():
+        kind = GROUPS[name]
+        given = kind() if group is None else group
+        if not isinstance(given, kind):
+            raise TypeError(f"{name} must be a {kind.__name__}, got {given!r}")
+        own = {one.name for one in dataclasses.fields(kind)} & left.keys()
+        found[name] = dataclasses.replace(given, **{one: left.pop(one) for one in own})
+    if left:
+        known = [one.name for name in groups for one in dataclasses.fields(GROUPS[name])]
+        unknown = sorted(left)[0]
+        near = difflib.get_close_matches(unknown, known, 1)
+        hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(sorted(known))}"
+        raise TypeError(f"there is no option {unknown!r}{hint}")
+    return found
+
+
+def changed(group: Any) -> list[str]:
+    """Names of the options that are not at their defaults."""
+    default = type(group)()
+    names = [one.name for one in dataclasses.fields(group)]
+    return [name for name in names if getattr(group, name) is not getattr(default, name)
+            and getattr(group, name) != getattr(default, name)]  # fmt: skip
+
+
+def choices_of(hint: object) -> tuple[str, ...]:
+    """The texts that an option of this type may be."""
+    if typing.get_origin(hint) is Literal:
+        return typing.get_args(hint)
+    return tuple(text for part in typing.get_args(hint) for text in choices_of(part))
+
+
+def check_choices(group: Any) -> None:
+    """Refuse texts that are none of an option's choices."""
+    hints = typing.get_type_hints(type(group))
+    for one in dataclasses.fields(group):
+        value, choices = getattr(group, one.name), choices_of(hints[one.name])
+        numeric = float in typing.get_args(hints[one.name])
+        if choices and not numeric and value is not None and value not in choices:
+            raise ValueError(f"{one.name} must be one of {', '.join(choices)}, got {value!r}")
+
+
+def check_whole(name: str, value: object, most: int) -> None:
+    """Refuse what is not a whole number from 1 to `most`."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not 1 <= value <= most or int(value) != value:
+        raise ValueError(
+            f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}"
+        )
+
+
+def check_real(name: str, value: object, most: float, other: str = "") -> None:
+    """Refuse what is not a positive finite number up to `most`."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not 0 < value <= most or value == math.inf:
+        raise ValueError(f"{name} must be a positive number{other}, got {value!r}")
