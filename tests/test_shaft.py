@@ -126,8 +126,8 @@ def test_points_that_see_all_of_the_light_trace_nothing(device):
 def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
     images = [
         render(
-            scenes / f"{name}.toml", "direct", spp=16, size=(24, 24), visibility=visibility, device=device,
-            **fitting(method, train_spp=4),
+            scenes / f"{name}.toml", "direct", spp=16, size=(24, 24), visibility=visibility,
+            device=device, **fitting(method, train_spp=4),
         )
         for visibility in ("auto", "embree")
     ]  # fmt: skip
