@@ -43,17 +43,15 @@ kernel void free_of_lines(const uint samples, const uint point_count, const uint
   const ulong at = (ulong)get_global_id(0) * VEC;
   if (point >= point_count || lists[starts[point]] == TOO_MANY) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
-  global const float *strips = strips_at(lights, &p);
   real found = (real)0.0f;
   real apart = (real)FAR_AWAY;
-  for (uint light = 0; light < LIGHT_COUNT; ++light) {
-    const float first = strips[2 * light];
-    const float width = strips[2 * light + 1];
-    const real own_u = LOAD(u + at);
-    const whole here = (own_u >= first) && (own_u < first + width);
+  real across;
+  const whole light_of = light_of_line(lights, &p, LOAD(u + at), &across);
+  for (int light = 0; light < LIGHT_COUNT; ++light) {
+    const whole here = light_of == light;
     const LightLines lines = lines_of(&p, lights + light * LIGHT_FLOATS);
     Block block[BLOCKS_A_ITEM];
-    begin_block(&lines, (own_u - first) / width, here, &block[0]);
+    begin_block(&lines, across, here, &block[0]);
     cut_lines(&lines, lists + starts[point], corners, corner_stride, ray_origin(&p), 1, block);
     const Gaps *gaps = &block[0].gaps;
     const LightView *view = &lines.view;

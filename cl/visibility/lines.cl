@@ -298,6 +298,21 @@ void order_by_u(const float *u, const uint count, uint order[ITEM_SAMPLES]) {
   for (uint k = 0; k < count; ++k) order[begin[bucket[k]]++] = k;
 }
 
+/* The lights that VEC lines lie on, by number, and how far across these, from 0 to 1. */
+whole light_of_line(global const float *restrict lights, const ShadingPoint *p, const real u, real *across) {
+  global const float *restrict strips = strips_at(lights, p);
+  whole light = (whole)0;
+  *across = u;
+  for (int k = 0; k < LIGHT_COUNT; ++k) {
+    const float first = strips[2 * k];
+    const float width = strips[2 * k + 1];
+    const whole here = (u >= first) && (u < first + width);
+    light = SELECT(light, (whole)k, here);
+    *across = SELECT(*across, (u - first) / width, here);
+  }
+  return light;
+}
+
 /* Moves samples (u, v) of a point whose occluders are known along their lines to where they see the light, for `blocks`
  * blocks of VEC; `share` gets what they count by, `refused` which ones stay where they are, and count by 1. */
 void take_visible(const ShadingPoint *p, global const float *restrict lights, global const uint *restrict own,
@@ -317,27 +332,27 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
     sorted_u[k] = u[order[k]];
     sorted_v[k] = v[order[k]];
   }
-  global const float *restrict strips = strips_at(lights, p);
+  whole light_of[BLOCKS_A_ITEM];
+  real across[BLOCKS_A_ITEM];
+  for (uint k = 0; k < blocks; ++k) light_of[k] = light_of_line(lights, p, LOAD(sorted_u + k * VEC), &across[k]);
   Block block[BLOCKS_A_ITEM];
-  for (uint light = 0; light < LIGHT_COUNT; ++light) {
-    const float first = strips[2 * light];
-    const float width = strips[2 * light + 1];
+  for (int light = 0; light < LIGHT_COUNT; ++light) {
+    whole any_here = (whole)0;
+    for (uint k = 0; k < blocks; ++k) any_here = any_here || (light_of[k] == light);
+    if (!ANY(any_here)) continue;
     const LightLines lines = lines_of(p, lights + light * LIGHT_FLOATS);
-    for (uint k = 0; k < blocks; ++k) {
-      const real own_u = LOAD(sorted_u + k * VEC);
-      begin_block(&lines, (own_u - first) / width, (own_u >= first) && (own_u < first + width), &block[k]);
-    }
+    for (uint k = 0; k < blocks; ++k) begin_block(&lines, across[k], light_of[k] == light, &block[k]);
     cut_lines(&lines, own, corners, stride, origin, blocks, block);
     for (uint k = 0; k < blocks; ++k) {
-      const real own_u = LOAD(sorted_u + k * VEC);
-      const whole here = (own_u >= first) && (own_u < first + width);
+      const whole here = light_of[k] == light;
+      const whole stays = here && block[k].gaps.refused;
       real place;
       float places[VEC], lengths[VEC];
       int is_here[VEC], is_refused[VEC];
       STORE(place_in_gaps(&lines, &block[k], LOAD(sorted_v + k * VEC), &place), lengths);
       STORE(place, places);
       STORE(here, is_here);
-      STORE(block[k].gaps.refused, is_refused);
+      STORE(stays, is_refused);
       for (uint lane = 0; lane < VEC; ++lane) {
         const uint sample = order[k * VEC + lane];
         if (is_here[lane] == 0) continue;
