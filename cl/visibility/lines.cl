@@ -84,7 +84,8 @@ float max_lanes(const real x) {
   return largest_lane;
 }
 
-LightLines lines_of(const ShadingPoint *p, global const float *restrict record) {
+LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, const int light) {
+  global const float *restrict record = lights + light * LIGHT_FLOATS;
   LightLines lines;
   const float3 begin = vload3(0, record) - p->position;
   const float3 edge1 = vload3(1, record);
@@ -94,8 +95,8 @@ LightLines lines_of(const ShadingPoint *p, global const float *restrict record) 
   lines.across = vload3(0, record + 23);
   const triple middle = to_triple(begin + 0.5f * (edge1 + edge2));
   lines.large = ANY(dot_triple(middle, middle) < record[29]);
-  lines.view = view_of(to_triple(begin), to_triple(normal), to_triple(lines.across), to_triple(lines.along),
-                       (real)record[27], (real)record[28], (real)record[26]);
+  lines.view = light_view(lights, (whole)(light * LIGHT_FLOATS), to_triple(begin), to_triple(normal),
+                          to_triple(lines.across), to_triple(lines.along));
   const float height = dot(begin, normal);
   const float offset = light_offset(record, p->position);
   lines.base = (height + (height < 0.0f ? offset : -offset)) * normal - p->offset * p->geometric_normal;
@@ -300,17 +301,10 @@ void order_by_u(const float *u, const uint count, uint order[ITEM_SAMPLES]) {
 
 /* The lights that VEC lines lie on, by number, and how far across these, from 0 to 1. */
 whole light_of_line(global const float *restrict lights, const ShadingPoint *p, const real u, real *across) {
-  global const float *restrict strips = strips_at(lights, p);
-  whole light = (whole)0;
-  *across = u;
-  for (int k = 0; k < LIGHT_COUNT; ++k) {
-    const float first = strips[2 * k];
-    const float width = strips[2 * k + 1];
-    const whole here = (u >= first) && (u < first + width);
-    light = SELECT(light, (whole)k, here);
-    *across = SELECT(*across, (u - first) / width, here);
-  }
-  return light;
+  real first, width;
+  const whole record = light_at(lights, strips_at(lights, p), u, &first, &width);
+  *across = (u - first) / width;
+  return record / LIGHT_FLOATS;
 }
 
 /* Moves samples (u, v) of a point whose occluders are known along their lines to where they see the light, for `blocks`
@@ -340,7 +334,7 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
     whole any_here = (whole)0;
     for (uint k = 0; k < blocks; ++k) any_here = any_here || (light_of[k] == light);
     if (!ANY(any_here)) continue;
-    const LightLines lines = lines_of(p, lights + light * LIGHT_FLOATS);
+    const LightLines lines = lines_of(p, lights, light);
     for (uint k = 0; k < blocks; ++k) begin_block(&lines, across[k], light_of[k] == light, &block[k]);
     cut_lines(&lines, own, corners, stride, origin, blocks, block);
     for (uint k = 0; k < blocks; ++k) {

@@ -14,7 +14,7 @@ class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
 
     (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
-    as strips in u, see `lights.strip_rows`, so the integral stays two-dimensional.
+    as strips in u, see `lights.light_rows`, so the integral stays two-dimensional.
     """
 
     name = "direct"
@@ -27,7 +27,7 @@ class DirectLight(Integrand):
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)
-        return light_records(scene.lights)
+        return light_records(scene)
 
     def defines(self, scene: Scene) -> dict[str, int]:
         self._check(scene)

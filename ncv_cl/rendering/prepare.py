@@ -13,7 +13,7 @@ from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.lines import MOST_ON_LINES
-from ..visibility.shaft import MOST_OCCLUDERS, Occluders
+from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 
 
 def prepare(
@@ -47,7 +47,8 @@ def prepare(
         points = _without_dark(scene, settings, points)
     occluders = None
     lines = settings.sampling.visibility == "lines"
-    if integrand.to_lights and settings.sampling.visibility != "embree" and points.active:
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
+    if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
             most = MOST_ON_LINES if lines else MOST_OCCLUDERS
             occluders = Occluders(device, scene, points, integrand, most)
