@@ -49,7 +49,7 @@ kernel void free_of_lines(const uint samples, const uint point_count, const uint
   const whole light_of = light_of_line(lights, &p, LOAD(u + at), &across);
   for (int light = 0; light < LIGHT_COUNT; ++light) {
     const whole here = light_of == light;
-    const LightLines lines = lines_of(&p, lights + light * LIGHT_FLOATS);
+    const LightLines lines = lines_of(&p, lights, light);
     Block block[BLOCKS_A_ITEM];
     begin_block(&lines, across, here, &block[0]);
     cut_lines(&lines, lists + starts[point], corners, corner_stride, ray_origin(&p), 1, block);

@@ -84,7 +84,8 @@ float max_lanes(const real x) {
   return largest_lane;
 }
 
-LightLines lines_of(const ShadingPoint *p, global const float *restrict record) {
+LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, const int light) {
+  global const float *restrict record = lights + light * LIGHT_FLOATS;
   LightLines lines;
   const float3 begin = vload3(0, record) - p->position;
   const float3 edge1 = vload3(1, record);
@@ -340,7 +341,7 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
     whole any_here = (whole)0;
     for (uint k = 0; k < blocks; ++k) any_here = any_here || (light_of[k] == light);
     if (!ANY(any_here)) continue;
-    const LightLines lines = lines_of(p, lights + light * LIGHT_FLOATS);
+    const LightLines lines = lines_of(p, lights, light);
     for (uint k = 0; k < blocks; ++k) begin_block(&lines, across[k], light_of[k] == light, &block[k]);
     cut_lines(&lines, own, corners, stride, origin, blocks, block);
     for (uint k = 0; k < blocks; ++k) {
