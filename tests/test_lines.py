@@ -302,5 +302,6 @@ def test_a_picture_by_lines_traces_no_shadow_ray(device, scenes, method):
     again = render(scene, "direct", visibility="lines", **options)
     points = render(scene, "direct", visibility="embree", **options)
     assert image.stats["rays_traced"] == 0 < points.stats["rays_traced"]
+    assert image.stats["samples_off_lines"] == 0
     np.testing.assert_array_equal(image.pixels, again.pixels)
     assert 0 < np.abs(image.pixels - points.pixels).max() < 0.1

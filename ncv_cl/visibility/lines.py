@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-# All by ``python bench/bench_lines.py constants``, on a CPU with PoCL 3.1. Free parts of a line that are kept
-# apart; a line with more leaves its sample to be tested as a point. None of the shipped scenes has one with
-# more than 16, one in 10,000 has more than 8, and room for 16 costs no time.
+# All by ``python bench/bench_lines.py constants``, on a CPU with PoCL 3.1.
+# Free parts of a line that are kept apart; a line with more leaves its sample to be tested as a point.
+# In the shipped scenes none has more than 16, and one in 10,000 more than 8; room costs no time.
 MOST_GAPS = 16
 
 # Occluders that are listed at most for a point: more than any point of the shipped scenes has (848).
 MOST_ON_LINES = 1023
 # Blocks of VEC lines of one point that one work-item draws: the more, the nearer are neighbours.
 LINE_BLOCKS = 16
-# Occluders from which on lines are brought in order. From 2 to 48 it makes no difference that could be seen.
+# Occluders from which on lines are brought in order. From 2 to 48 no difference was to be seen.
 SORTED_FROM = 12
 
 
