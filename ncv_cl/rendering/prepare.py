@@ -12,7 +12,7 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.lines import MOST_ON_LINES
+from ..visibility.lines import most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders
 
 
@@ -49,7 +49,7 @@ def prepare(
     lines = settings.sampling.visibility == "lines"
     if integrand.to_lights and settings.sampling.visibility != "embree" and points.active:
         with watch("shafts"):
-            most = MOST_ON_LINES if lines else MOST_OCCLUDERS
+            most = most_on_lines(device) if lines else MOST_OCCLUDERS
             occluders = Occluders(device, scene, points, integrand, most)
     source = sample_source(
         device,
