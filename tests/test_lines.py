@@ -213,7 +213,7 @@ def test_points_that_see_all_of_the_light_are_sampled_as_ever(device):
 
 def test_lines_with_too_many_gaps_are_left_to_points(device):
     """A comb of more bars than a line has room for gaps; what is refused is as embree has it."""
-    bars = [quad([-3, 1, z], [0, 0, 0.03], [6, 0, 0]) for z in np.arange(-2, 2, 0.1)]
+    bars = [quad([-3, 1, z], [0, 0, 0.015], [6, 0, 0]) for z in np.arange(-2, 2, 0.05)]
     scene = mesh_scene(np.concatenate([FLOOR, *bars]), CAMERA, LIGHTS, (grey(),))
     points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64)
     plain = shadowed_values(source.draw(range(points.active), range(64), 0), 3)
@@ -302,5 +302,6 @@ def test_a_picture_by_lines_traces_no_shadow_ray(device, scenes, method):
     again = render(scene, "direct", visibility="lines", **options)
     points = render(scene, "direct", visibility="embree", **options)
     assert image.stats["rays_traced"] == 0 < points.stats["rays_traced"]
+    assert image.stats["samples_off_lines"] == 0
     np.testing.assert_array_equal(image.pixels, again.pixels)
     assert 0 < np.abs(image.pixels - points.pixels).max() < 0.1

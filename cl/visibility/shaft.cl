@@ -120,15 +120,36 @@ uint triangles_in_shaft(const Plane *plane, const float3 origin, global const fl
   return found;
 }
 
-/* Adds those of `found`, numbered from `first`, to the list, of which the first `before` are another light's; returns
- * its length, TOO_MANY if they do not fit. */
-uint list_occluders(const uint found, const uint first, const uint before, const uint most, uint count,
-                    uint own[MOST_OCCLUDERS]) {
+/* Which boxes reach into some shaft: of each light's only if their parent, number `bit` of its level, does. */
+uint boxes_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, global const float *restrict boxes,
+                     const uint stride, const uint first, const uint end, const uint parents[LIGHT_COUNT],
+                     const uint bit, uint found[LIGHT_COUNT]) {
+  uint any = 0;
+  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+    found[light] = 0;
+    if ((parents[light] >> bit & 1u) != 0)
+      found[light] = boxes_in_shaft(plane[light], origin, boxes, stride, first, end);
+    any |= found[light];
+  }
+  return any;
+}
+
+/* The same of triangles. */
+uint triangles_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin,
+                         global const float *restrict corners, const uint stride, const uint first, const uint end,
+                         const uint parents[LIGHT_COUNT], const uint bit) {
+  uint any = 0;
+  for (uint light = 0; light < LIGHT_COUNT; ++light)
+    if ((parents[light] >> bit & 1u) != 0)
+      any |= triangles_in_shaft(plane[light], origin, corners, stride, first, end);
+  return any;
+}
+
+/* Adds those of `found`, numbered from `first`, to the list; returns its length, TOO_MANY if they do not fit. */
+uint list_occluders(const uint found, const uint first, const uint most, const uint before, uint own[MOST_OCCLUDERS]) {
+  uint count = before;
   for (uint bit = 0; found >> bit != 0; ++bit) {
     if ((found >> bit & 1u) == 0) continue;
-    bool is_new = true;
-    for (uint k = 0; k < before; ++k) is_new = is_new && own[k] != first + bit;
-    if (!is_new) continue;
     if (count == most) return TOO_MANY;
     own[count++] = first + bit;
   }
@@ -147,28 +168,33 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   const float3 origin = ray_origin(&p);
+  Plane plane[LIGHT_COUNT][SHAFT_PLANES];
+  uint all[LIGHT_COUNT];
+  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+    shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane[light]);
+    all[light] = 1u;
+  }
   uint own[MOST_OCCLUDERS];
+  uint in_top[LIGHT_COUNT], in_middle[LIGHT_COUNT], in_bottom[LIGHT_COUNT];
   uint count = 0;
-  for (uint light = 0; light < LIGHT_COUNT && count != TOO_MANY; ++light) {
-    const uint before = count;
-    Plane plane[SHAFT_PLANES];
-    shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane);
-    for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
-      const uint in_top = boxes_in_shaft(plane, origin, boxes + first_2, box_stride, top, count_2);
-      for (uint i = 0; in_top >> i != 0 && count != TOO_MANY; ++i) {
-        if ((in_top >> i & 1u) == 0) continue;
-        const uint middle = (top + i) * BRANCH;
-        const uint in_middle = boxes_in_shaft(plane, origin, boxes + first_1, box_stride, middle, count_1);
-        for (uint j = 0; in_middle >> j != 0 && count != TOO_MANY; ++j) {
-          if ((in_middle >> j & 1u) == 0) continue;
-          const uint bottom = (middle + j) * BRANCH;
-          const uint in_bottom = boxes_in_shaft(plane, origin, boxes, box_stride, bottom, count_0);
-          for (uint k = 0; in_bottom >> k != 0 && count != TOO_MANY; ++k) {
-            if ((in_bottom >> k & 1u) == 0) continue;
-            const uint first = (bottom + k) * BRANCH;
-            count = list_occluders(triangles_in_shaft(plane, origin, corners, corner_stride, first, triangle_count),
-                                   first, before, most, count, own);
-          }
+  for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
+    const uint tops = boxes_in_shafts(plane, origin, boxes + first_2, box_stride, top, count_2, all, 0, in_top);
+    for (uint i = 0; tops >> i != 0 && count != TOO_MANY; ++i) {
+      if ((tops >> i & 1u) == 0) continue;
+      const uint middle = (top + i) * BRANCH;
+      const uint middles =
+          boxes_in_shafts(plane, origin, boxes + first_1, box_stride, middle, count_1, in_top, i, in_middle);
+      for (uint j = 0; middles >> j != 0 && count != TOO_MANY; ++j) {
+        if ((middles >> j & 1u) == 0) continue;
+        const uint bottom = (middle + j) * BRANCH;
+        const uint bottoms =
+            boxes_in_shafts(plane, origin, boxes, box_stride, bottom, count_0, in_middle, j, in_bottom);
+        for (uint k = 0; bottoms >> k != 0 && count != TOO_MANY; ++k) {
+          if ((bottoms >> k & 1u) == 0) continue;
+          const uint first = (bottom + k) * BRANCH;
+          const uint found =
+              triangles_in_shafts(plane, origin, corners, corner_stride, first, triangle_count, in_bottom, k);
+          count = list_occluders(found, first, most, count, own);
         }
       }
     }

@@ -12,7 +12,7 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.lines import MOST_ON_LINES
+from ..visibility.lines import most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 
 
@@ -50,7 +50,7 @@ def prepare(
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
     if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
-            most = MOST_ON_LINES if lines else MOST_OCCLUDERS
+            most = most_on_lines(device) if lines else MOST_OCCLUDERS
             occluders = Occluders(device, scene, points, integrand, most)
     source = sample_source(
         device,
