@@ -33,7 +33,9 @@
 #define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
 #define ROW_FLOATS (STRIP_STEPS + 2 * LIGHT_COUNT)
 /* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
+#ifndef INLINED
 #define INLINED __attribute__((always_inline))
+#endif
 /* Of so many lights each is looked at for all samples at once; of more, every sample gathers its own's numbers. */
 #define SELECTED_LIGHTS 8
 
@@ -305,10 +307,10 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
 #endif
 }
 
-/* Per solid angle, the density of directions from a position to lights of several records, each to a point at
- * `segment` from it that it sees under the cosine `facing`, by the rows `strips`; zero for lights without a strip. */
-real light_density(global const float *restrict lights, const whole strips, const whole record, const triple position,
-                   const triple segment, const real facing) {
+/* The solid angle that a sample of a whole light stands for, of lights of several records, each at a point at `segment`
+ * from a position that sees it under the cosine `facing`. */
+real light_stands_for(global const float *restrict lights, const whole record, const triple position,
+                      const triple segment, const real facing) {
   const triple corner = light_triple(lights, record, 0);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
   const triple edge1 = light_triple(lights, record, 3);
@@ -326,11 +328,24 @@ real light_density(global const float *restrict lights, const whole strips, cons
     const LightLine line = light_line(&view, x, FMA(x - view.x0, view.slope, view.y0));
     stands_for = SELECT(stands_for, view_angle(&view) * line.range, large);
   }
+  return stands_for;
+}
+
+/* How wide the strips of several records are in their rows. */
+real strip_width(global const float *restrict lights, const whole strips, const whole record) {
 #if LIGHT_COUNT > 1
-  const real share = gather(lights, strips + STRIP_STEPS + 1 + record / (LIGHT_FLOATS / 2));
+  return gather(lights, strips + STRIP_STEPS + 1 + record / (LIGHT_FLOATS / 2));
 #else
+  (void)lights;
   (void)strips;
-  const real share = (real)1.0f;
+  (void)record;
+  return (real)1.0f;
 #endif
-  return share / max(stands_for, (real)1e-30f);
+}
+
+/* Per solid angle, the density of these directions; zero for lights without a strip. */
+real light_density(global const float *restrict lights, const whole strips, const whole record, const triple position,
+                   const triple segment, const real facing) {
+  const real stands_for = light_stands_for(lights, record, position, segment, facing);
+  return strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
 }

@@ -28,6 +28,8 @@ _ROUNDING = 1e-5
 # Points of a light that its irradiance is a mean over; of more lights than so many only the middle.
 _ON_LIGHT, _MIDDLE = 0.25 + 0.5 * np.array([[0, 0], [1, 0], [0, 1], [1, 1]]), np.array([[0.5, 0.5]])
 _FEW_LIGHTS = 64
+# Pairs of cells and lights looked at together: their arrays fit a cache.
+_PAIRS_AT_ONCE = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,8 @@ class Cells:
     spread: np.ndarray
     depth: np.ndarray
 
-    def only(self, chosen: np.ndarray) -> Cells:
-        """Those of the cells where `chosen` (cells,) is true."""
+    def only(self, chosen: np.ndarray | slice) -> Cells:
+        """Those of the cells that an index of one dimension chooses."""
         names = "number", "places", "normals", "lowest", "highest", "middle", "spread", "depth"
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
@@ -205,6 +207,13 @@ def mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
     Means over the cells' places and a few points of each light, of radiance cos cos area / distance²;
     of lights that are large from a place, over a few directions to them, as lights.cl samples them.
     """
+    step = max(1, _PAIRS_AT_ONCE // len(lights.area))
+    starts = range(0, len(cells.number), step)
+    parts = [_mean_irradiance(cells.only(slice(first, first + step)), lights) for first in starts]
+    return np.concatenate([np.zeros((0, len(lights.area))), *parts])
+
+
+def _mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
     corner, edges, normal, area = lights.corner, lights.edges, lights.normal, lights.area
     diagonal2 = (edges**2).sum(axis=(1, 2))
     on_light = _ON_LIGHT if len(area) <= _FEW_LIGHTS else _MIDDLE
