@@ -16,7 +16,8 @@
  * only some of the triangles' shadows, seen as ranges of x, reach them.
  *
  * Gaps are cut out of the whole line, triangle after triangle, in any order: what blocks twice does no harm. A line
- * with more than MOST_GAPS of them is refused: its sample stays where it was, and is tested as a point.
+ * with more than MOST_GAPS of them is refused: its sample stays where it was, and is tested as a point, and so are
+ * samples of a lobe (lobe.cl), which are no points of a light.
  *
  * Where light would arrive from below the point's surface there is none: lines are cut at its horizon, too.
  *
@@ -299,12 +300,22 @@ void order_by_u(const float *u, const uint count, uint order[ITEM_SAMPLES]) {
   for (uint k = 0; k < count; ++k) order[begin[bucket[k]]++] = k;
 }
 
-/* The lights that VEC lines lie on, by number, and how far across these, from 0 to 1. */
+/* The lights that VEC lines lie on, by number, and how far across these, from 0 to 1; -1 for samples that lie on none
+ * since they are the lobe's (lobe.cl). */
 whole light_of_line(global const float *restrict lights, const ShadingPoint *p, const real u, real *across) {
+  real of_lights = u;
+  whole in_lobe = (whole)0;
+#if HAS_SPECULAR
+  const float share = p->lobe_share;
+  if (share > 0.0f) {
+    in_lobe = u < share;
+    of_lights = SELECT(past_lobe(share, u), u, in_lobe);
+  }
+#endif
   real first, width;
-  const whole record = light_at(lights, strips_at(lights, p), u, &first, &width);
-  *across = (u - first) / width;
-  return record / LIGHT_FLOATS;
+  const whole record = light_at(lights, strips_at(lights, p), of_lights, &first, &width);
+  *across = (of_lights - first) / width;
+  return SELECT(record / LIGHT_FLOATS, (whole)-1, in_lobe);
 }
 
 /* Moves samples (u, v) of a point whose occluders are known along their lines to where they see the light, for `blocks`
@@ -328,7 +339,13 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
   }
   whole light_of[BLOCKS_A_ITEM];
   real across[BLOCKS_A_ITEM];
-  for (uint k = 0; k < blocks; ++k) light_of[k] = light_of_line(lights, p, LOAD(sorted_u + k * VEC), &across[k]);
+  for (uint k = 0; k < blocks; ++k) {
+    light_of[k] = light_of_line(lights, p, LOAD(sorted_u + k * VEC), &across[k]);
+    int light[VEC];
+    STORE(light_of[k], light);
+    for (uint lane = 0; lane < VEC; ++lane)
+      if (light[lane] < 0) refused[order[k * VEC + lane]] = -1;
+  }
   Block block[BLOCKS_A_ITEM];
   for (int light = 0; light < LIGHT_COUNT; ++light) {
     whole any_here = (whole)0;

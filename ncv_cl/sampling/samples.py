@@ -46,7 +46,7 @@ class RayCount:
     on_device : int
         Answered by testing a point's few occluders.
     off_lines : int
-        Of these, samples whose lines have too many gaps to be kept.
+        Of these, samples of points with lines that are on none, or on one with too many gaps to be kept.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
