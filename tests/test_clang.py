@@ -103,7 +103,7 @@ def render_everything(device: Device, folder: Path) -> None:
             scene,
             integrand,
             "ncv",
-            sampler,
+            sampler=sampler,
             spp=2,
             train_spp=1,
             size=(4, 4),
