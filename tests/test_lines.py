@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -226,6 +226,27 @@ def test_lines_with_too_many_gaps_are_left_to_points(device):
     difference = (on_lines - plain).mean(axis=(0, 2))
     assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(len(difference))
     assert np.abs(difference).max() > 0
+
+
+def test_beside_the_lobe_of_a_glossy_surface(device):
+    """The lobe's samples are points, those of the lights lie on lines: the mean stays the same."""
+    plain = soup(12, SEVERAL_LIGHTS)
+    scene = replace(plain, materials=(grey(0.2, 0.6, 0.15),))
+    means = []
+    for lines in (False, True):
+        points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 1024, lines=lines)
+        values = [
+            shadowed_values(source.draw(part, range(1024), int(lines)), 3) for part in source.batches()
+        ]
+        means.append(np.concatenate(values, axis=1).mean(axis=2))
+    rays, share = source.rays, points.rows("lobe_share")[0, : points.active]
+    assert share.max() > 0.2 and 0 < rays.off_lines < rays.on_device and rays.traced == 0
+    # Z over points, whose errors are independent.
+    difference = means[1] - means[0]
+    scores = difference.mean(axis=1) / (difference.std(axis=1) / np.sqrt(difference.shape[1]))
+    assert (np.abs(scores) < 4).all() and difference.any()
+    close = np.abs(difference) < 0.05 * means[0].max(axis=1, keepdims=True)
+    assert close.all()
 
 
 def clipped(polygon: np.ndarray, plane: np.ndarray) -> np.ndarray:
