@@ -76,9 +76,9 @@ def strips_at(scene, points):
 
 
 @pytest.mark.parametrize("lights", [LIGHTS[:1], LIGHTS[1:], LIGHTS])
-@pytest.mark.parametrize("material", [grey((0.2, 0.5, 0.9)), grey((0.2, 0.5, 0.9), (0.04, 0, 0.6), 0.3)])
-def test_every_sample_matches_float64(device, lights, material):
-    scene, samples = floor_scene(lights, material), 203
+def test_every_sample_matches_float64(device, lights):
+    material, samples = grey((0.2, 0.5, 0.9)), 203
+    scene = floor_scene(lights, material)
     points, source, rays = sampling(device, scene, DirectLight(), (7, 5), samples)
     arrays = batch_arrays(source.draw(range(points.active), range(samples), 0), 3)
     strips = strips_at(scene, points)

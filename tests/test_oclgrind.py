@@ -87,6 +87,13 @@ def test_simulator_finds_no_fault_with_several_lights(integrand, more, vec, lane
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_in_a_lobe(vec, lanes, scenes, tmp_path):
+    arguments = ("direct", "mc", "sobol", str(vec), str(lanes))
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / "veach_plates.toml", *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 def test_simulator_finds_no_fault_in_a_density_by_the_subdivision(vec, lanes, scenes, tmp_path):
     scene = scenes / "cornell_box.toml"
     arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "subdivision")
