@@ -49,8 +49,13 @@ def evaluate(device, normal, outgoing, incident, albedo, reflectance, roughness,
     towards[:, : len(incident)] = np.asarray(incident).T
     kernel = scattering_kernel(device, has_specular)
     result = HostArray(device, (3, padded), np.float32)
-    items = padded // device.vector_width
-    kernel(items, padded, HostArray.of(device, surface), HostArray.of(device, towards), result)
+    kernel(
+        padded // device.vector_width,
+        count=padded,
+        surface=HostArray.of(device, surface),
+        incident=HostArray.of(device, towards),
+        result=result,
+    )
     return result.read()[:, : len(incident)].T.astype(np.float64)
 
 

@@ -131,9 +131,8 @@ def test_the_magnitude_is_learned_and_tabulated(device, monkeypatch):
 def test_residuals_are_taken_against_the_network_and_in_the_points_units(device):
     """A constant network: f - g is known."""
     trainer, _, _, _, f = learning_case(device, lambda x, u, v: u + v, points=50)
-    arrays = list(trainer._network.arrays)
-    arrays[5] = HostArray.of(device, np.array([0.75], np.float32))
-    trainer._network.arrays = arrays
+    base = HostArray.of(device, np.array([0.75], np.float32))
+    trainer._network.arrays = trainer._network.arrays | {"b3": base}
     unit = np.linspace(0, 2, 50, dtype=np.float32)
     found = trainer._squared_residuals(unit).read()[:, :50]
     expected = ((f - 0.75) / np.where(unit > 0, unit, np.inf)) ** 2

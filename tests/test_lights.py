@@ -88,10 +88,10 @@ def sampled(device, light: QuadLight, position: np.ndarray, u: np.ndarray, v: np
     result = HostArray(device, (7, len(u)), np.float32)
     kernel(
         len(u) // device.vector_width,
-        len(u),
-        HostArray.of(device, light_records((light,))),
-        HostArray.of(device, rows.astype(np.float32)),
-        result,
+        count=len(u),
+        lights=HostArray.of(device, light_records((light,))),
+        numbers=HostArray.of(device, rows.astype(np.float32)),
+        result=result,
     )
     found = result.read().astype(float)
     return Found(found[:3].T + position, *found[3:])

@@ -258,7 +258,7 @@ kernel void triangulate_memory(global int *bytes) { bytes[0] = (int)sizeof(Works
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     const uint first_point, const uint count, global const uint *restrict order, global const float *restrict w1,
     global const float *restrict b1, global const uint *restrict tables, global Workspace *all_work,
-    global float *restrict records, volatile global int *failed) {
+    global uint *restrict records, volatile global int *failed) {
   const int lane = (int)get_local_id(0);
   global Workspace *work = all_work + get_group_id(0);
   clear_padding(work, lane);
@@ -276,8 +276,9 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
       BARRIER();
       triangulate_faces(work, lane);
     }
-    if (lane == 0) leader_write_triangles(work, records + i * (ulong)RECORD_WORDS);
+    global float *record = (global float *)(records + i * (ulong)RECORD_WORDS);
+    if (lane == 0) leader_write_triangles(work, record);
     BARRIER();
-    write_vertices(work, records + i * (ulong)RECORD_WORDS, lane);
+    write_vertices(work, record, lane);
   }
 }

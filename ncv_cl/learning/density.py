@@ -193,10 +193,10 @@ def tabulate(
     table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
-    inputs = [
-        HostArray.of(device, array)
-        for array in (density.feature_mean, density.feature_scale, density.parameters)
-    ]
+    inputs = {
+        name: HostArray.of(device, getattr(density, name))
+        for name in ("feature_mean", "feature_scale", "parameters")
+    }
     for first in range(0, points.active, POINTS_PER_FOLD):
         count = min(POINTS_PER_FOLD, points.active - first)
         order = HostArray.of(device, np.arange(first, first + count, dtype=np.uint32))
@@ -204,13 +204,13 @@ def tabulate(
         encoder.encode_grid(entries)
         program.kernel("density_tables")(
             -(-count // device.vector_width),
-            count,
-            encoder.stride,
-            first,
-            encoder.features,
-            *inputs,
-            magnitude,
-            table,
+            count=count,
+            stride=encoder.stride,
+            first_point=first,
+            features=encoder.features,
+            **inputs,
+            magnitude=magnitude,
+            density=table,
         )
     scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
     magnitudes = magnitude.read().astype(np.float64) * scale
@@ -252,7 +252,9 @@ class DensityTrainer:
             self._mean_square = float(squared[:, : samples.count].mean(dtype=np.float64)) or 1.0
         start = self._start(len(features))
         self._parameters = HostArray.of(device, start)
-        self._moments = [HostArray.of(device, np.zeros_like(start)) for _ in range(2)]
+        self._moments = {
+            name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
+        }
         self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
 
     @property
@@ -290,16 +292,16 @@ class DensityTrainer:
         squared.fill(0.0)
         self._program.kernel("squared_residuals")(
             samples.count * -(-samples.samples // device.vector_width),
-            samples.count,
-            samples.u.shape[1],
-            samples.samples,
-            samples.order,
-            samples.u,
-            samples.v,
-            samples.target,
-            HostArray.of(device, unit),
-            *self._network.arrays,
-            squared,
+            count=samples.count,
+            stride=samples.u.shape[1],
+            samples=samples.samples,
+            order=samples.order,
+            all_u=samples.u,
+            all_v=samples.v,
+            all_targets=samples.target,
+            unit=HostArray.of(device, unit),
+            **self._network.arrays,
+            squared=squared,
         )
         return squared
 
@@ -331,19 +333,19 @@ class DensityTrainer:
         groups = min(GROUPS, count)
         self._program.kernel("density_gradients")(
             groups * lanes,
-            sample,
-            first,
-            count,
-            samples.u.shape[1],
-            1.0 / self._mean_square,
-            samples.encoder.features,
-            self._mean,
-            self._scale,
-            samples.u,
-            samples.v,
-            self._squared,
-            self._parameters,
-            self._partial,
+            sample=sample,
+            first=first,
+            count=count,
+            stride=samples.u.shape[1],
+            unit_square=1.0 / self._mean_square,
+            features=samples.encoder.features,
+            feature_mean=self._mean,
+            feature_scale=self._scale,
+            all_u=samples.u,
+            all_v=samples.v,
+            squared=self._squared,
+            parameters=self._parameters,
+            partial=self._partial,
             group=lanes,
         )
         return groups
@@ -354,11 +356,11 @@ class DensityTrainer:
         decay = 0.5 * (1.0 + math.cos(math.pi * number / total))
         self._program.kernel("density_adam")(
             -(-self._parameters.shape[0] // self.device.vector_width),
-            groups,
-            settings.final_rate + (settings.rate - settings.final_rate) * decay,
-            1.0 / (1.0 - settings.beta1**number),
-            1.0 / (1.0 - settings.beta2**number),
-            self._partial,
-            self._parameters,
-            *self._moments,
+            groups=groups,
+            rate=settings.final_rate + (settings.rate - settings.final_rate) * decay,
+            correction1=1.0 / (1.0 - settings.beta1**number),
+            correction2=1.0 / (1.0 - settings.beta2**number),
+            partial=self._partial,
+            parameters=self._parameters,
+            **self._moments,
         )

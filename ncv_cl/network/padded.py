@@ -68,5 +68,11 @@ class Averaged:
         self.average = HostArray.of(device, start)
 
     @property
-    def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
-        return self.value, self.moment1, self.moment2, self.average
+    def arrays(self) -> dict[str, HostArray]:
+        """As adam.cl calls them."""
+        return {
+            "parameters": self.value,
+            "moment1": self.moment1,
+            "moment2": self.moment2,
+            "average": self.average,
+        }

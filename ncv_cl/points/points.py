@@ -180,20 +180,20 @@ def find_points(
     surface = HostArray(device, (ROW_COUNT, len(cell)), np.float32)
     program.kernel("shading_points")(
         len(cell),
-        camera,
-        columns,
-        rows,
-        len(cell),
-        HostArray.of(device, cell),
-        HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
-        HostArray.of(device, hits.u[cell]),
-        HostArray.of(device, hits.v[cell]),
-        HostArray.of(device, scene.vertices),
-        HostArray.of(device, scene.vertex_normals),
-        HostArray.of(device, scene.triangles),
-        HostArray.of(device, scene.triangle_material),
-        HostArray.of(device, material_records(scene)),
-        surface,
+        camera=camera,
+        columns=columns,
+        rows=rows,
+        total_points=len(cell),
+        cells=HostArray.of(device, cell),
+        hit_triangle=HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
+        hit_u=HostArray.of(device, hits.u[cell]),
+        hit_v=HostArray.of(device, hits.v[cell]),
+        vertices=HostArray.of(device, scene.vertices),
+        vertex_normals=HostArray.of(device, scene.vertex_normals),
+        triangles=HostArray.of(device, scene.triangles),
+        triangle_material=HostArray.of(device, scene.triangle_material),
+        materials=HostArray.of(device, material_records(scene)),
+        surface=surface,
     )
     device.queue.finish()
     material = scene.triangle_material[hits.triangle[cell]]
@@ -211,7 +211,16 @@ def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) 
     found = []
     for first in range(0, cells, batch):
         count = min(batch, cells - first)
-        camera_rays(count, camera, first, count, columns, rows, origins, directions)
+        camera_rays(
+            count,
+            camera=camera,
+            first_cell=first,
+            count=count,
+            columns=columns,
+            rows=rows,
+            origins=origins,
+            directions=directions,
+        )
         with origins.mapped(count=count) as starts, directions.mapped(count=count) as towards:
             found.append(tracer.closest(starts, towards))
     return Hits(

@@ -118,21 +118,23 @@ class Accumulator:
         previous = self._samples_of_all if previous is None else previous
         weighted = batch.weight is not None
         program = build(self._device, self._files, {**self._defines, "WEIGHTED": int(weighted)})
-        inputs = [batch.order, batch.value, batch.slot, batch.visible]
-        if weighted:
-            inputs.append(batch.weight)
+        inputs = {"weight": batch.weight} if weighted else {}
         if self.network is not None:
-            inputs += [batch.u, batch.v, *self.network.arrays]
+            inputs |= {"u": batch.u, "v": batch.v, **self.network.arrays}
         program.kernel("accumulate")(
             len(batch.points) * self._lanes,
-            batch.points.start,
-            len(batch.points),
-            self.points.active,
-            batch.samples,
-            batch.stride,
-            float(previous),
-            *inputs,
-            self._state,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            total_points=self.points.active,
+            sample_count=batch.samples,
+            stride=batch.stride,
+            previous_count=float(previous),
+            order=batch.order,
+            value=batch.value,
+            slot=batch.slot,
+            visible=batch.visible,
+            **inputs,
+            state=self._state,
             group=self._group_points * self._lanes,
         )
 
