@@ -10,7 +10,7 @@ from reference import bare_kernel, tangent_frame, unit
 from scipy.stats import chi2
 
 from ncv_cl.opencl.device import HostArray
-from ncv_cl.points.points import ROW, ROW_COUNT, surface_defines
+from ncv_cl.points.points import SURFACE, surface_defines
 
 KERNEL = """
 kernel void bare_bounce(const uint count, global const float *surface, global const float *rows,
@@ -60,11 +60,11 @@ def run(device, name, rows, surface_of, cosine_o):
     """The kernel's outputs for columns of `rows` (n, …), about NORMAL with an outgoing direction."""
     albedo, reflectance, roughness = surface_of
     outgoing = outgoing_at(cosine_o)
-    surface = np.zeros(ROW_COUNT, np.float32)
-    known = {"NORMAL": NORMAL, "OUTGOING": outgoing, "ALBEDO": albedo, "REFLECTANCE": reflectance}
+    surface = np.zeros(SURFACE.size, np.float32)
+    known = {"normal": NORMAL, "outgoing": outgoing, "albedo": albedo, "reflectance": reflectance}
     for row, value in known.items():
-        surface[ROW[row] : ROW[row] + 3] = value
-    surface[ROW["ROUGHNESS"]] = roughness
+        surface[SURFACE[row]] = value
+    surface[SURFACE["roughness"]] = roughness
     count = -(-len(rows) // device.vector_width) * device.vector_width
     padded = np.zeros((rows.shape[1], count), np.float32)
     padded[:, : len(rows)] = rows.T
