@@ -34,10 +34,9 @@ def learning_case(device, residual, features=7, points=POINTS, samples=SAMPLES):
         Encoding(("position",), grid_levels=features, grid_features=1), 1, (4, 4), ()
     )
     shapes = {**description.group_shapes, "W2": (4, 4)}
-    zeros = [
-        HostArray.of(device, np.zeros(shapes[n], np.float32))
-        for n in ("W1", "B1", "W2", "B2", "W3", "B3")
-    ]
+    zeros = {
+        name.lower(): HostArray.of(device, np.zeros(shape, np.float32)) for name, shape in shapes.items()
+    }
     network = SimpleNamespace(network=SimpleNamespace(description=description), arrays=zeros)
     stride = -(-points // 16) * 16
     feature = np.zeros((features, stride), np.float32)

@@ -93,7 +93,8 @@ void load_point(global Workspace *work, global const float *w1, global const flo
   }
   for (int k = lane; k < CELLS; k += LANES) {
     const int strip = k / DENSITY_BINS;
-    const float probability = bin_probability(table, strip) * bin_probability(table + 2 * strip + 2, k % DENSITY_BINS);
+    const float probability = bin_probability(table + DENSITY_STRIPS, strip) *
+                              bin_probability(table + DENSITY_CELLS + DENSITY_ROW * strip, k % DENSITY_BINS);
     work->cell[k] = fmax(probability * (float)CELLS - UNIFORM_SHARE, 0.0f);
   }
 }

@@ -15,6 +15,7 @@ from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
 from ..network.network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
@@ -64,19 +65,19 @@ class DensitySettings:
     epsilon: float = 1e-8
     uniform_share: float = 0.1
 
-    def parameter_count(self, features: int) -> int:
-        """Numbers of the network: hidden units, then a row and a bias for each cell."""
-        return (features + 1 + CELLS) * self.hidden + CELLS
+    def parameters(self, features: int) -> Record:
+        """The network's numbers: weights and biases of its units, then rows and biases of cells."""
+        fields = {"units": features * self.hidden, "unit_bias": self.hidden}
+        return Record("MAGNITUDE", {**fields, "rows": CELLS * self.hidden, "cell_bias": CELLS})
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:
         """The `-D` constants of density.cl but those of fitting."""
-        count = self.parameter_count(description.encoding.feature_count)
         return {
             **description.defines(),
             "FITTING": 0,
             **warp_defines(),
             "DENSITY_HIDDEN": self.hidden,
-            "DENSITY_PARAMETERS": f"{count}u",
+            **self.parameters(description.encoding.feature_count).defines(),
             "UNIFORM_SHARE": f"{self.uniform_share!r}f",
         }
 
@@ -147,8 +148,8 @@ class DensityNetwork:
             raise ValueError(f"the density's hidden units must be 16, 32, ... 512, are {hidden}")
         settings = DensitySettings(hidden=int(hidden), uniform_share=uniform_share)
         features = description.encoding.feature_count
-        count = settings.parameter_count(features)
-        parameters = array_of(arrays, "density_parameters", np.float32, (count,))
+        size = settings.parameters(features).size
+        parameters = array_of(arrays, "density_parameters", np.float32, (size,))
         scales = array_of(arrays, "density_features", np.float32, (2, features))
         return cls(parameters, *scales, unit, settings)
 
@@ -277,11 +278,12 @@ class DensityTrainer:
         """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
         hidden = self.settings.hidden
         generator = host_generator(0, HostStream.DENSITY)
-        parameters = np.zeros(self.settings.parameter_count(features), np.float32)
-        units, rows = features * hidden, (features + 1) * hidden
-        parameters[:units] = generator.uniform(-1, 1, units) * math.sqrt(3 / features)
+        layout = self.settings.parameters(features)
+        parameters = np.zeros(layout.size, np.float32)
+        units = generator.uniform(-1, 1, features * hidden)
+        parameters[layout["units"]] = units * math.sqrt(3 / features)
         bound = 1 / math.sqrt(hidden)
-        parameters[rows : rows + CELLS * hidden] = generator.uniform(-bound, bound, CELLS * hidden)
+        parameters[layout["rows"]] = generator.uniform(-bound, bound, CELLS * hidden)
         return parameters
 
     def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:

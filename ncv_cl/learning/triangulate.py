@@ -10,6 +10,7 @@ import pyopencl as cl
 from ..integration.arrangement import Capacities
 from ..network.network import FoldedNetwork, NetworkError
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import build
 from ..sampling.warp import Warp, warp_defines
 from .density import Density
@@ -156,22 +157,17 @@ class TriangleWarp(Warp):
 
 def _record_defines(bounds: Capacities, uniform_share: float) -> dict[str, int | str]:
     """Where a record's parts begin, in words, as `-D` constants."""
-    sizes = {
-        "COUNT": 1,
-        "CUMULATIVE": bounds.triangles + 1,
-        "CORNERS": bounds.triangles,
-        "SCALES": bounds.triangles,
-        "X": bounds.vertices,
-        "Y": bounds.vertices,
-        "VALUES": bounds.vertices,
+    fields = {
+        "count": 1,
+        "cumulative": bounds.triangles + 1,
+        "corners": bounds.triangles,
+        "scales": bounds.triangles,
+        "x": bounds.vertices,
+        "y": bounds.vertices,
+        "values": bounds.vertices,
     }
-    offsets, at = {}, 0
-    for name, size in sizes.items():
-        offsets[f"RECORD_{name}"] = at
-        at += size
     return {
-        **offsets,
-        "RECORD_WORDS": math.ceil(at / RECORD_PADDING) * RECORD_PADDING,
+        **Record("RECORD", fields, np.uint32, RECORD_PADDING).defines(),
         "VERTEX_BITS": VERTEX_BITS,
         "VERTEX_MASK": f"{(1 << VERTEX_BITS) - 1}u",
         "UNIFORM_SHARE": f"{uniform_share!r}f",
