@@ -28,6 +28,7 @@ kernel void fields(global const float *lamps, global const uint *counts, global 
 def test_names_are_those_of_the_fields_and_sizes_are_padded():
     assert LAMP.defines() == {"LAMP_CORNER": 0, "LAMP_POWER": 3, "LAMP_TINT": 4, "LAMP_FLOATS": 8}
     assert COUNTS.defines() == {"COUNT_FIRST": 0, "COUNT_REST": 1, "COUNT_WORDS": 3}
+    assert list(LAMP) == ["corner", "power", "tint"]
     assert (LAMP.size, LAMP["tint"], COUNTS["first"]) == (8, slice(4, 6), slice(0, 1))
 
 

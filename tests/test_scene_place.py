@@ -21,7 +21,7 @@ from ncv_cl import AmbientOcclusion, GlobalIllumination, render
 from ncv_cl.network.encode import GridCube
 from ncv_cl.points.points import RELATIVE_OFFSET, find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.paths import triangle_records
+from ncv_cl.sampling.triangles import triangle_records
 from ncv_cl.scene.geometry import flat_mesh, quad_mesh, sphere_mesh
 from ncv_cl.scene.load import Camera, load_scene
 from ncv_cl.scene.place import (
@@ -330,8 +330,11 @@ def test_offsets_of_paths_are_those_of_points(one_device, tmp_path):
     position, offset = points.rows("position").T, points.rows("offset")[0]
     towards = -np.ascontiguousarray(points.rows("outgoing").T)
     start = np.broadcast_to(scene.camera.position.astype(np.float32), towards.shape)
-    own = triangle_records(scene)[0][tracer.closest(np.ascontiguousarray(start), towards).triangle]
-    by_record = np.abs(own[:, 4]) + RELATIVE_OFFSET * np.abs(position).max(axis=1)
+    records, defines = triangle_records(scene)
+    hit = tracer.closest(np.ascontiguousarray(start), towards).triangle
+    by_record = np.abs(records[hit, defines["TRIANGLE_OFFSET"]]) + RELATIVE_OFFSET * np.abs(
+        position
+    ).max(axis=1)
     np.testing.assert_allclose(by_record, offset, rtol=1e-3)
     # Far less than the box's height.
     assert offset.min() > 0 and offset.max() < 1e-3

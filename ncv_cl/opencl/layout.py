@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ class Record:
     """What a record is made of: fields in order, and how many numbers each has.
 
     Records lie one after another (an array of shape (records, size)), or their numbers in planes (size,
-    records). ``record["name"]`` is a field's slice of either's axis.
+    records). ``record["name"]`` is a field's slice of either's axis; iterating yields the fields' names.
 
     Parameters
     ----------
@@ -47,6 +47,9 @@ class Record:
 
     def __getitem__(self, name: str) -> slice:
         return self._slices[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._slices)
 
     def defines(self) -> dict[str, int]:
         """Where each field begins, and how long a record is.

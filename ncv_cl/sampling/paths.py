@@ -10,13 +10,14 @@ import numpy as np
 from ..integrands import GlobalIllumination, Integrand
 from ..opencl.device import Device, HostArray
 from ..opencl.program import build
-from ..points.points import RELATIVE_OFFSET, ShadingPoints, surface_defines, triangle_spreads
+from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
 from ..points.trace import Hits, Tracer
 from ..scene.load import Scene
 from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
+from .triangles import triangle_records
 from .warp import Warp, warp_defines
 
 # A depth that no path reaches.
@@ -340,39 +341,3 @@ def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArr
     array = HostArray(device, shape, dtype)
     array.fill(0)
     return array
-
-
-def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
-    """What paths.cl reads of the triangles, float32 (triangles, floats), and its `-D` constants."""
-    corners = scene.vertices[scene.triangles].astype(np.float64)
-    edges = corners[:, 1:] - corners[:, :1]
-    # Scaled before the cross product, whose squared length is very small for small triangles.
-    scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
-    normals = np.cross(scaled[:, 0], scaled[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
-    smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
-    offsets[smooth] *= -1.0
-    materials = [scene.materials[index] for index in range(len(scene.materials))]
-    rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
-            for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
-    own = scene.triangle_material
-    defines = {
-        "HAS_EMISSION": int(rows["emission"].any()),
-        "HAS_NORMALS": int(scene.vertex_normals.any()),
-    }
-    parts = [
-        normals,
-        np.sum(normals * corners[:, 0], axis=1, keepdims=True),
-        offsets[:, None],
-        scene.triangle_light[:, None],
-        rows["albedo"][own],
-    ]
-    if rows["reflectance"].any():
-        parts += [rows["reflectance"][own], rows["roughness"][own]]
-    if defines["HAS_EMISSION"]:
-        parts.append(rows["emission"][own])
-    if defines["HAS_NORMALS"]:
-        parts.append(scene.vertex_normals[scene.triangles].reshape(len(corners), 9))
-    records = np.concatenate(parts, axis=1).astype(np.float32)
-    return records, {**defines, "TRIANGLE_FLOATS": records.shape[1]}
