@@ -332,9 +332,8 @@ def test_offsets_of_paths_are_those_of_points(one_device, tmp_path):
     start = np.broadcast_to(scene.camera.position.astype(np.float32), towards.shape)
     records, defines = triangle_records(scene)
     hit = tracer.closest(np.ascontiguousarray(start), towards).triangle
-    by_record = np.abs(records[hit, defines["TRIANGLE_OFFSET"]]) + RELATIVE_OFFSET * np.abs(
-        position
-    ).max(axis=1)
+    spread = np.abs(records[hit, defines["TRIANGLE_OFFSET"]])
+    by_record = spread + RELATIVE_OFFSET * np.abs(position).max(axis=1)
     np.testing.assert_allclose(by_record, offset, rtol=1e-3)
     # Far less than the box's height.
     assert offset.min() > 0 and offset.max() < 1e-3
