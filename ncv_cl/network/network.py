@@ -143,7 +143,6 @@ class NetworkDescription:
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
         shapes = self.group_shapes
-        heads_at = math.prod(self.hidden)
         strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in GROUPS}
         return {
             **self.encoding.defines(),
@@ -151,8 +150,6 @@ class NetworkDescription:
             **{f"STRIDE_{group}": stride for group, stride in strides.items()},
             "HEAD_ROWS": self.head_rows,
             "BASE_ROWS": self.base_rows,
-            "AT_HEADS": heads_at,
-            "AT_BASES": heads_at + self.head_rows * (self.encoding.feature_count + 1),
             "HIDDEN1": self.hidden[0],
             "HIDDEN2": self.hidden[1],
             "CHANNELS": self.channels,

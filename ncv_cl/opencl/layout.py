@@ -19,7 +19,7 @@ class Record:
     prefix : str
         What the names of the `-D` constants begin with.
     fields : dict of int
-        Numbers of each field, at least 1, by name in lower case.
+        Numbers of each field, by name in lower case.
     dtype : numpy dtype
         float32 or uint32. What else a word holds is the user's business.
     multiple : int
