@@ -206,7 +206,7 @@ class ClippingStage:
             list=points,
             failed=failed,
             **networks.outputs,
-            all=self._tables,
+            all_work=self._tables,
             **networks.parameters,
             group=1,
         )
