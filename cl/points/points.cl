@@ -97,4 +97,5 @@ kernel void shading_points(global const float *restrict camera, const uint colum
     surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + MATERIAL_REFLECTANCE + i];
   }
   surface[ROW_ROUGHNESS * stride + point] = materials[material + MATERIAL_ROUGHNESS];
+  surface[ROW_LOBE_SHARE * stride + point] = 0.0f;
 }

@@ -24,6 +24,7 @@ SURFACE = Record(
         "albedo": 3,
         "reflectance": 3,
         "roughness": 1,
+        "lobe_share": 1,
     },
 )
 # Of a camera, right and up reach to the sides of the picture at distance 1.

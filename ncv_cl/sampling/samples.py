@@ -192,6 +192,15 @@ class SampleSource(Batches):
             }
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
+        point_kernel = integrand.point_kernel(scene)
+        if point_kernel is not None:
+            self._program.kernel(point_kernel)(
+                points.active,
+                point_count=points.active,
+                total_points=points.total,
+                surface=points.surface,
+                integrand_data=self._data,
+            )
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
         capacity = self._capacity
