@@ -150,13 +150,13 @@ triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y 
 triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
                  const triple direction, const real distance, const real density) {
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = -dot_triple(light_triple(lights, record, 9), direction);
-  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, 17) > 0.0f);
+  const real emitted = -dot_triple(light_triple(lights, record, LIGHT_NORMAL), direction);
+  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
   const real share = density / (density + other);
   const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
-  const triple amount = light_triple(lights, record, 12);
+  const triple amount = light_triple(lights, record, LIGHT_RADIANCE);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
 
