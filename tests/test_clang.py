@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fitting import fitting
 
 from ncv_cl import (
     AmbientOcclusion,
@@ -25,6 +24,7 @@ from ncv_cl.integration import certificate
 from ncv_cl.integration.subdivide import subdivide
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+from ncv_cl.opencl.probe import measure
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.settings.presets import PRESETS
 
@@ -120,8 +120,9 @@ def render_everything(device: Device, folder: Path) -> None:
 
 def estimate_everything(device: Device) -> None:
     """Integrals of a callable, sampled uniformly and by each density."""
-    for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
-        estimate(lambda u, v, point: u, spp=2, device=device, **fitting(train_spp=1, **options))
+    trained = {"method": "ncv", "train_spp": 1}
+    for options in ({"method": "mc"}, trained, trained | {"density": "subdivision"}):
+        estimate(lambda u, v, point: u, spp=2, device=device, **options)
 
 
 def integrate_everything(device: Device) -> None:
@@ -163,6 +164,7 @@ def programs(one_device, tmp_path_factory):
             render_everything(device, tmp_path_factory.mktemp("scene"))
             estimate_everything(device)
             integrate_everything(device)
+            measure(device)
         return [(one.files, one.defines) for one in built.values()]
 
 

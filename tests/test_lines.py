@@ -107,11 +107,21 @@ def compared(device, scene, size=(12, 10), samples=64) -> Compared:
     kernel = bare_kernel(device, files, defines, KERNEL, "free_of_lines")
     found = [HostArray(device, live.shape, np.float32) for _ in range(2)]
     kernel(
-        live.size // device.vector_width, samples, points.active, points.total, occluders.stride,
-        points.surface, HostArray.of(device, DirectLight().data(scene)), occluders.starts,
-        occluders.lists, occluders.corners, HostArray.of(device, arrays["u"]),
-        HostArray.of(device, arrays["v"]), *found,
-    )  # fmt: skip
+        live.size // device.vector_width,
+        samples=samples,
+        point_count=points.active,
+        total_points=points.total,
+        corner_stride=occluders.stride,
+        surface=points.surface,
+        lights=HostArray.of(device, DirectLight().data(scene)),
+        starts=occluders.starts,
+        lists=occluders.lists,
+        corners=occluders.corners,
+        u=HostArray.of(device, arrays["u"]),
+        v=HostArray.of(device, arrays["v"]),
+        is_free=found[0],
+        margin=found[1],
+    )
     is_free, margin = (array.read() for array in found)
     known = np.array([occluders.list_of(point) is not None for point in range(points.active)])
     asked = live & known[:, None] & (is_free < 2)

@@ -311,9 +311,9 @@ void integrate_robust(const int count, __global int *counters, __global const in
 #if WRITE_BOUND
                       __global stored *bounds,
 #endif
-                      __global Robust *all,
+                      __global Robust *all_work,
                       NETWORK_ARGUMENTS) {
-  __global Robust *r = all + get_group_id(0);
+  __global Robust *r = all_work + get_group_id(0);
   for (int next = atomic_inc(&counters[COUNT_HEAD]); next < count; next = atomic_inc(&counters[COUNT_HEAD])) {
     const int point = list[next];
     const size_t p = (size_t)point;

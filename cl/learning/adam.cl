@@ -1,6 +1,6 @@
 /* Adam: one step of a network's parameters and of the hash grid's entries that a minibatch touched.
  *
- * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015, algorithm
+ * The first PARAMETER_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015, algorithm
  * 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in order. Each further
  * work-item updates VEC table entries. It gathers their gradients from an inverted index: pairs starts[i] ..
  * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
@@ -87,7 +87,7 @@ kernel void adam(global const uint *restrict plan, global const float *restrict 
   global const uint *restrict step = plan + number * PLAN_WORDS;
   global const float *restrict own_rates = rates + number * RATE_FLOATS;
   const uint work_item = (uint)(get_global_id(0) - get_global_offset(0));
-  if (work_item < PARTIAL_FLOATS / VEC) {
+  if (work_item < PARAMETER_FLOATS / VEC) {
     const uint groups = step[PLAN_GROUPS];
     const float rate = own_rates[RATE_NETWORK];
     const float correction1 = own_rates[RATE_CORRECTION1];
@@ -95,7 +95,7 @@ kernel void adam(global const uint *restrict plan, global const float *restrict 
     const float average_decay = own_rates[RATE_AVERAGE];
     const uint p = work_item * VEC;
     real gradient = (real)0.0f;
-    for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)PARTIAL_FLOATS + p);
+    for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)PARAMETER_FLOATS + p);
     const real m1 = ADAM_BETA1 * LOAD(moment1 + p) + ((1.0f - ADAM_BETA1) * gradient + TINY);
     const real m2 = ADAM_BETA2 * LOAD(moment2 + p) + ((1.0f - ADAM_BETA2) * gradient * gradient + TINY);
     const real value =
@@ -106,12 +106,12 @@ kernel void adam(global const uint *restrict plan, global const float *restrict 
     STORE(value + average_decay * (LOAD(average + p) - value), average + p);
     if (work_item == 0) {
       float sum = 0.0f;
-      for (uint g = 0; g < groups; ++g) sum += partial[g * (ulong)PARTIAL_FLOATS + AT_LOSS];
+      for (uint g = 0; g < groups; ++g) sum += partial[g * (ulong)PARAMETER_FLOATS + PARAMETER_LOSS];
       *loss = sum;
     }
     return;
   }
-  const uint first = step[PLAN_FIRST_ENTRY] + (work_item - PARTIAL_FLOATS / VEC) * VEC;
+  const uint first = step[PLAN_FIRST_ENTRY] + (work_item - PARAMETER_FLOATS / VEC) * VEC;
   if (first < step[PLAN_END_ENTRY])
     update_entries(own_rates, first, step[PLAN_END_ENTRY], entries, starts,
                    places, weights, grid_gradient, table);

@@ -3,14 +3,14 @@
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
  * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
  * of `all_targets`. These three stand in the step's row of `plan`, PLAN_WORDS words of which the global offset
- * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied by;
- * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
+ * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied
+ * by; the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
  * column and channel, is the factor over its mean to a power that the host chose.
  *
  * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
  * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
- * floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only the grid's entries
- * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
+ * floats; the loss rides at PARAMETER_LOSS in the padding, PARAMETER_FLOATS in all (padded.py). `table` holds only the
+ * grid's entries that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
  * a column, column after column, level after level.
  *
  * A group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a column: all weights but
@@ -58,7 +58,7 @@ void heads_forward(global const float *restrict parameters, local const real *re
   for (int block = 0; block < HEAD_ROWS; block += ROW_BLOCK) {
     /* The last block begins earlier, where it would be a part only. */
     const int row = min(block, HEAD_ROWS - ROW_BLOCK);
-    global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS;
+    global const float *restrict head = parameters + PARAMETER_HEADS + row * FEATURE_FLOATS;
     real sum[ROW_BLOCK];
 #pragma unroll
     for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = (real)head[r * FEATURE_FLOATS + FEATURES];
@@ -71,7 +71,7 @@ void heads_forward(global const float *restrict parameters, local const real *re
     for (int r = 0; r < ROW_BLOCK; ++r) theta[(row + r) * TILE_BLOCKS] = sum[r];
   }
   for (int row = HEAD_ROWS; row < THETA_ROWS; ++row)
-    theta[row * TILE_BLOCKS] = (real)parameters[AT_BASES + row - HEAD_ROWS];
+    theta[row * TILE_BLOCKS] = (real)parameters[PARAMETER_BASES + row - HEAD_ROWS];
 }
 
 /* Gradients by the grid's feature rows of VEC columns, times `scale`. */
@@ -83,7 +83,7 @@ void heads_backward(global const float *restrict parameters, local const real *r
 #pragma unroll
     for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = (real)0.0f;
     for (int row = 0; row < HEAD_ROWS; ++row) {
-      global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS + f;
+      global const float *restrict head = parameters + PARAMETER_HEADS + row * FEATURE_FLOATS + f;
       const real delta = delta_theta[row * TILE_BLOCKS];
 #pragma unroll
       for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = FMA((real)head[k], delta, sum[k]);
@@ -265,7 +265,7 @@ void heads_gradient(const int lane, const int is_first, const float scale,
         for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = FMA(delta, feature[k], sum[r][k]);
       }
     }
-    global float *restrict head = own + AT_HEADS + row * FEATURE_FLOATS + block * VEC;
+    global float *restrict head = own + PARAMETER_HEADS + row * FEATURE_FLOATS + block * VEC;
 #pragma unroll
     for (int r = 0; r < GRADIENT_ROWS; ++r) {
       if (row + r < HEAD_ROWS) {
@@ -284,13 +284,13 @@ void base_gradient(const int lane, const int is_first, const float scale,
   for (int row = HEAD_ROWS + lane; row < THETA_ROWS; row += LANES) {
     real sum = (real)0.0f;
     for (int t = 0; t < TILE_BLOCKS; ++t) sum += delta_theta[row * TILE_BLOCKS + t];
-    global float *restrict base = own + AT_BASES + row - HEAD_ROWS;
+    global float *restrict base = own + PARAMETER_BASES + row - HEAD_ROWS;
     *base = (is_first ? 0.0f : *base) + scale * sum_lanes(sum);
   }
   if (lane == 0) {
     real sum = (real)0.0f;
     for (int t = 0; t < TILE_BLOCKS; ++t) sum += losses[t];
-    own[AT_LOSS] = (is_first ? 0.0f : own[AT_LOSS]) + scale * sum_lanes(sum);
+    own[PARAMETER_LOSS] = (is_first ? 0.0f : own[PARAMETER_LOSS]) + scale * sum_lanes(sum);
   }
 }
 
@@ -316,7 +316,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
   const uint sample = step[PLAN_SAMPLE], first = step[PLAN_FIRST], count = step[PLAN_COUNT], end = first + count;
   const uint tiles = (count + TILE - 1) / TILE;
   const float per_sample = 1.0f / ((float)count * SAMPLES_A_STEP * CHANNELS);
-  global float *restrict own = partial + group * (ulong)PARTIAL_FLOATS;
+  global float *restrict own = partial + group * (ulong)PARAMETER_FLOATS;
 
   for (uint tile = group; tile < tiles; tile += groups) {
     /* A parameter is summed by the same work-item in every tile, so the first tile can simply set it. */

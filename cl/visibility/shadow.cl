@@ -8,8 +8,8 @@
  * it is met between o and o + d if these lie on two sides of its plane. An edge's numbers are those of its
  * reverse with their signs turned, bit for bit, so no ray slips through an edge between neighbours.
  *
- * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats: 0 unit
- * normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken about the centre, so
+ * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER in shadow.py: unit normal,
+ * distance of the plane from the centre, then for each edge b - a and its moment a x b, taken about the centre, so
  * that nothing is lost to a scene's place in the world.
  *
  * Work-group contract: none; a pure function of private values and of `casters`, which all work-items read alike.
@@ -29,13 +29,13 @@ whole reaches_light(global const float *restrict casters, const triple origin, c
   const triple moment = cross_triple(start, segment);
   for (uint k = 0; k < CASTERS; ++k) {
     global const float *restrict record = casters + CENTRE_FLOATS + k * CASTER_FLOATS;
-    const real height = dot_record(record, start) - record[3];
-    const whole crosses = open && ((height > 0.0f) != (height + dot_record(record, segment) > 0.0f));
+    const real height = dot_record(record + CASTER_NORMAL, start) - record[CASTER_DISTANCE];
+    const whole crosses = open && ((height > 0.0f) != (height + dot_record(record + CASTER_NORMAL, segment) > 0.0f));
     /* Of a room's walls no ray between two of its points crosses any. */
     if (!ANY(crosses)) continue;
-    const real side_0 = dot_record(record + 7, segment) + dot_record(record + 4, moment);
-    const real side_1 = dot_record(record + 13, segment) + dot_record(record + 10, moment);
-    const real side_2 = dot_record(record + 19, segment) + dot_record(record + 16, moment);
+    const real side_0 = dot_record(record + CASTER_MOMENT_0, segment) + dot_record(record + CASTER_EDGE_0, moment);
+    const real side_1 = dot_record(record + CASTER_MOMENT_1, segment) + dot_record(record + CASTER_EDGE_1, moment);
+    const real side_2 = dot_record(record + CASTER_MOMENT_2, segment) + dot_record(record + CASTER_EDGE_2, moment);
     const real low = min(side_0, min(side_1, side_2));
     const real high = max(side_0, max(side_1, side_2));
     open = open && !(crosses && ((low >= 0.0f) || (high <= 0.0f)));

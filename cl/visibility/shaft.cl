@@ -37,14 +37,14 @@ typedef struct {
 void shaft_planes(const ShadingPoint *p, global const float *restrict light, const float tolerance,
                   Plane plane[SHAFT_PLANES]) {
   const float3 origin = ray_origin(p);
-  const float3 edge1 = vload3(1, light);
-  const float3 edge2 = vload3(2, light);
-  const float3 normal = vload3(3, light);
+  const float3 edge1 = vload3(0, light + LIGHT_EDGE1);
+  const float3 edge2 = vload3(0, light + LIGHT_EDGE2);
+  const float3 normal = vload3(0, light + LIGHT_NORMAL);
   const float offset = light_offset(light, p->position);
-  const float emitted = dot(normal, origin - vload3(0, light));
+  const float emitted = dot(normal, origin - vload3(0, light + LIGHT_CORNER));
   const float3 ends = emitted > 0.0f ? normal : -normal;
   float3 corner[4];
-  corner[0] = vload3(0, light) - origin + offset * ends;
+  corner[0] = vload3(0, light + LIGHT_CORNER) - origin + offset * ends;
   corner[1] = corner[0] + edge1;
   corner[2] = corner[1] + edge2;
   corner[3] = corner[0] + edge2;

@@ -119,7 +119,8 @@ class Integrand:
     def point_kernel(self, scene: Scene) -> str | None:
         """The kernel of `files`, if any, that adds to every shading point what its samples share.
 
-        It takes the numbers of active points and of all, their `surface`, and `data`.
+        Its arguments are `point_count`, the active points, `total_points`, `surface` and
+        `integrand_data`, which is `data`.
         """
         return None
 

@@ -196,10 +196,7 @@ class Integrator:
         end = out.shape[0] if end is None else end
         if not 0 <= begin <= end <= out.shape[0]:
             raise ValueError(f"range [{begin}, {end}) is not within the {out.shape[0]} points of out")
-        networks = Networks(
-            [array for pair in zip(weights, biases, strict=True) for array in pair],
-            [array for array in (out, moments, bounds) if array is not None],
-        )
+        networks = Networks.of(weights, biases, G=out, moments=moments, bounds=bounds)
         statistics = Statistics(scratch_bytes=self.scratch_bytes)
         with self._lock:
             for first in range(begin, end, POINTS_A_LAUNCH):
@@ -226,7 +223,7 @@ class Integrator:
         points, failed = self._lists
         done = 0
         if self.precision == "float32" and self.device.has_float64:
-            left = self._in_double().run(0, count, networks, failed, [points])["retry"]
+            left = self._in_double().run(0, count, networks, failed, points)["retry"]
             done, count = count - left, left
             points, failed = failed, points
         clipped = count if self.layers > 1 else 0

@@ -68,7 +68,11 @@ def scale(folded: FoldedNetwork, alpha: np.ndarray) -> None:
     count = alpha.shape[1]
     groups = folded.groups
     program.kernel("scale_outputs")(
-        count, count, HostArray.of(folded.device, alpha), groups["W3"], groups["B3"]
+        count,
+        count=count,
+        alpha=HostArray.of(folded.device, alpha),
+        w3=groups["W3"],
+        b3=groups["B3"],
     )
     folded.device.queue.finish()
 
@@ -81,15 +85,15 @@ def _column_moments(folded: FoldedNetwork, samples: TrainingSamples) -> np.ndarr
     moments = HostArray(device, (2, description.channels, stride), np.float32)
     program.kernel("column_moments")(
         samples.count,
-        samples.count,
-        stride,
-        samples.samples,
-        samples.order,
-        samples.u,
-        samples.v,
-        samples.target,
-        *folded.arrays,
-        moments,
+        count=samples.count,
+        stride=stride,
+        samples=samples.samples,
+        order=samples.order,
+        all_u=samples.u,
+        all_v=samples.v,
+        all_targets=samples.target,
+        **folded.arrays,
+        moments=moments,
     )
     return moments.read()[..., : samples.count].astype(np.float64)
 

@@ -14,6 +14,7 @@ from ..network.encode import Encoder, GridIndex, TouchedTable
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
@@ -31,9 +32,14 @@ MAX_TILE = 64
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 GROUPS = 64
-# What a step's rows of `plan` and `rates` hold.
-PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
-RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")
+# A step: the first of its samples, its columns, its work-groups, and its entries of the grid's index.
+PLAN = Record(
+    "PLAN",
+    dict.fromkeys(("sample", "first", "count", "groups", "first_entry", "end_entry"), 1),
+    np.uint32,
+)
+# A step's sizes, Adam's corrections of its moments, and the share that the moving average keeps.
+RATES = Record("RATE", dict.fromkeys(("network", "table", "correction1", "correction2", "average"), 1))
 
 
 def minibatches(count: int, columns: int) -> list[range]:
@@ -176,21 +182,21 @@ class Trainer:
         """Keep a batch's samples as number `first_sample` and on of their points."""
         self._program.kernel("store_samples")(
             len(batch.points) * batch.stride // self.device.vector_width,
-            batch.points.start,
-            len(batch.points),
-            batch.samples,
-            batch.stride,
-            self._encoder.stride,
-            first_sample,
-            self._position,
-            batch.u,
-            batch.v,
-            batch.value,
-            batch.slot,
-            batch.visible,
-            self._u,
-            self._v,
-            self._target,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            sample_count=batch.samples,
+            batch_stride=batch.stride,
+            stride=self._encoder.stride,
+            first_row=first_sample,
+            position=self._position,
+            batch_u=batch.u,
+            batch_v=batch.v,
+            value=batch.value,
+            slot=batch.slot,
+            visible=batch.visible,
+            u=self._u,
+            v=self._v,
+            target=self._target,
         )
 
     def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
@@ -252,55 +258,59 @@ class Trainer:
     def _plan(self, order: list[tuple[int, int]], total: int) -> tuple[HostArray, HostArray]:
         """What differs between steps of `order` (first sample, minibatch), as the kernels read it."""
         settings = self.settings
-        plan = np.zeros((len(order), len(PLAN)), np.uint32)
         sample, batch = np.array(order).T
         columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
         entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
         groups = np.minimum(GROUPS, -(-columns[:, 1] // self._tile))
-        for word, values in enumerate((sample, *columns.T, groups, *entries.T)):
-            plan[:, word] = values
+        plan = PLAN.pack(
+            sample=sample,
+            first=columns[:, 0],
+            count=columns[:, 1],
+            groups=groups,
+            first_entry=entries[:, 0],
+            end_entry=entries[:, 1],
+        )
         step = self._steps + 1.0 + np.arange(len(order))
         decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum((step - self._begun) / total, 1.0)))
         rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
-        rates = (
-            rate,
-            rate * settings.table_rate,
-            1.0 / (1.0 - settings.beta1**step),
-            1.0 / (1.0 - settings.beta2**step),
+        rates = RATES.pack(
+            network=rate,
+            table=rate * settings.table_rate,
+            correction1=1.0 / (1.0 - settings.beta1**step),
+            correction2=1.0 / (1.0 - settings.beta2**step),
             # A short memory at first, or the average would remember the random start.
-            np.minimum(settings.average_decay, (1 + step) / (10 + step)),
+            average=np.minimum(settings.average_decay, (1 + step) / (10 + step)),
         )
-        device = self.device
-        return HostArray.of(device, plan), HostArray.of(device, np.stack(rates, 1).astype(np.float32))
+        return HostArray.of(self.device, plan), HostArray.of(self.device, rates)
 
     def _bind(self, plan: HostArray, rates: HostArray) -> None:
         """Set the arguments of a step's two kernels."""
         encoder, index, parameters = self._encoder, self._index, self._parameters
         self._gradients.bind(
-            plan,
-            encoder.stride,
-            encoder.features,
-            encoder.unit,
-            index.corner,
-            self._table.state,
-            self._u,
-            self._v,
-            self._target,
-            self._factor,
-            self._weight,
-            parameters.value,
-            self._grid_gradient,
-            self._partial,
+            plan=plan,
+            stride=encoder.stride,
+            features=encoder.features,
+            unit=encoder.unit,
+            corner=index.corner,
+            table=self._table.state,
+            all_u=self._u,
+            all_v=self._v,
+            all_targets=self._target,
+            factor=self._factor,
+            weights=self._weight,
+            parameters=parameters.value,
+            grid_gradient=self._grid_gradient,
+            partial=self._partial,
         )
         self._adam.bind(
-            plan,
-            rates,
-            self._partial,
-            *parameters.arrays,
-            self._loss,
-            *index.arrays,
-            self._grid_gradient,
-            self._table.state,
+            plan=plan,
+            rates=rates,
+            partial=self._partial,
+            **parameters.arrays,
+            loss=self._loss,
+            **index.arrays,
+            grid_gradient=self._grid_gradient,
+            table=self._table.state,
         )
         # The kernels do not keep the arrays alive.
         self._bound = plan, rates
@@ -328,10 +338,8 @@ class Trainer:
         defines = {
             **description.defines(),
             **layout.defines(),
-            **{f"PLAN_{name}": word for word, name in enumerate(PLAN)},
-            **{f"RATE_{name}": word for word, name in enumerate(RATES)},
-            "PLAN_WORDS": len(PLAN),
-            "RATE_FLOATS": len(RATES),
+            **PLAN.defines(),
+            **RATES.defines(),
             "TILE": self._tile,
             "IDLE_GROUPS": f"{self._idle_groups}u",
             "ENTRY_FLOATS": f"{self._table.entry_floats}u",

@@ -143,7 +143,6 @@ class NetworkDescription:
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
         shapes = self.group_shapes
-        heads_at = math.prod(self.hidden)
         strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in GROUPS}
         return {
             **self.encoding.defines(),
@@ -151,8 +150,6 @@ class NetworkDescription:
             **{f"STRIDE_{group}": stride for group, stride in strides.items()},
             "HEAD_ROWS": self.head_rows,
             "BASE_ROWS": self.base_rows,
-            "AT_HEADS": heads_at,
-            "AT_BASES": heads_at + self.head_rows * (self.encoding.feature_count + 1),
             "HIDDEN1": self.hidden[0],
             "HIDDEN2": self.hidden[1],
             "CHANNELS": self.channels,
@@ -304,7 +301,7 @@ class FoldedNetwork:
 
     Attributes
     ----------
-    arrays : tuple of HostArray
+    arrays : dict of HostArray
         w1, b1, w2, b2, w3, b3 as mlp.cl takes them: modulated groups with a leading points axis.
     """
 
@@ -346,29 +343,28 @@ class FoldedNetwork:
         heads_array = HostArray.of(device, transposed)
         build(device, ("common", "surface", "encode", "fold"), defines).kernel("fold")(
             -(-points.active // width),
-            points.active,
-            points.total,
-            *network.cube.about(points.origin),
-            points.surface,
-            HostArray.of(device, network.table),
-            heads_array,
-            factor if factor is not None else heads_array,
-            *(self.groups[group] for group in GROUPS),
+            count=points.active,
+            total_points=points.total,
+            **network.cube.about(points.origin),
+            surface=points.surface,
+            table=HostArray.of(device, network.table),
+            heads=heads_array,
+            factor=factor if factor is not None else heads_array,
+            **{group.lower(): self.groups[group] for group in GROUPS},
         )
         device.queue.finish()
 
     @property
-    def arrays(self) -> tuple[HostArray, ...]:
-        groups = self.groups
-        return groups["W1"], groups["B1"], self._w2, groups["B2"], groups["W3"], groups["B3"]
+    def arrays(self) -> dict[str, HostArray]:
+        return {"w2": self._w2, **{group.lower(): array for group, array in self.groups.items()}}
 
     def program(self) -> Program:
         return build(self.device, ("common", "mlp"), self.network.description.defines())
 
     def layers(self) -> tuple[list[HostArray], list[HostArray]]:
         """Weights and biases as `Integrator.run` takes them."""
-        w1, b1, w2, b2, w3, b3 = self.arrays
-        return [w1, w2, w3], [b1, b2, b3]
+        arrays = self.arrays
+        return [arrays[w] for w in ("w1", "w2", "w3")], [arrays[b] for b in ("b1", "b2", "b3")]
 
     @property
     def per_point(self) -> tuple[list[bool], list[bool]]:

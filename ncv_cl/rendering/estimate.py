@@ -13,7 +13,7 @@ from ..opencl.device import Device, HostArray
 from ..output.keep import Keep
 from ..output.report import finite
 from ..output.resolve import combine, estimate_of
-from ..points.points import ROW, ROW_COUNT, ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.callable import CallableSource, Function, HostIntegrand
 from ..sampling.problem import Problem
 from ..settings.options import Sampling, Stopping, Training, changed, gathered
@@ -159,8 +159,8 @@ def _points_of(device: Device, points: int, features: np.ndarray | None) -> Shad
         positions[:, : features.shape[1]] = (0.5 * features - lower) / np.where(
             upper > lower, upper - lower, 1
         )
-    surface = np.zeros((ROW_COUNT, points), np.float32)
-    surface[ROW["POSITION"] : ROW["POSITION"] + 3] = positions.T
+    surface = np.zeros((SURFACE.size, points), np.float32)
+    surface[SURFACE["position"]] = positions.T
     nowhere = np.full(points, -1, np.int32)
     return ShadingPoints(
         HostArray.of(device, surface), np.arange(points, dtype=np.uint32), nowhere, points, 0

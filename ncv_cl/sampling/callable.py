@@ -94,7 +94,7 @@ class CallableSource(Batches):
         density: Warp | None = None,
     ) -> Batch:
         order = self._every_point if order is None else order
-        values, warp = self._values(points, samples, stream, order, density)
+        values, weight = self._values(points, samples, stream, order, density)
         stride = self._stride_of(len(samples))
         count, shape = len(points) * stride, (len(points), stride)
         with self._value.mapped(write=True) as view:
@@ -102,7 +102,7 @@ class CallableSource(Batches):
             planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
             planes[..., len(samples) :] = 0
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, len(samples), stride, *arrays, *warp)
+        return Batch(points, order, len(samples), stride, *arrays, weight)
 
     def _values(
         self,
@@ -111,34 +111,34 @@ class CallableSource(Batches):
         stream: int,
         order: HostArray,
         density: Warp | None = None,
-    ) -> tuple[np.ndarray, list[HostArray]]:
+    ) -> tuple[np.ndarray, HostArray | None]:
         """f less the constant, float64 (points, samples, channels), and with a density the weights."""
         stride = self._stride_of(len(samples))
-        warp, files, defines = [], (), {}
+        warp, files, defines = {}, (), {}
         if density is not None:
-            warp = [density.records(order, points), self._weight]
+            warp = {"density": density.records(order, points), "weight": self._weight}
             files, defines = density.files, density.defines
         defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
         program = build(self.device, ("common", "sampler", *files, "callable"), defines)
         program.kernel("draw_coordinates")(
             len(points) * stride // self.device.vector_width,
-            points.start,
-            len(points),
-            samples.start,
-            stride,
-            stream,
-            *self._seed,
-            order,
-            *warp,
-            self._u,
-            self._v,
+            first_point=points.start,
+            point_count=len(points),
+            first_sample=samples.start,
+            stride=stride,
+            stream=stream,
+            **self._seed,
+            order=order,
+            **warp,
+            u=self._u,
+            v=self._v,
         )
         count, shape = len(points) * stride, (len(points), stride)
         u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
         chosen = order.read()[points.start : points.stop]
         index = np.broadcast_to(chosen[:, None], u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
-        return values.reshape(*u.shape, self.channels), warp[1:]
+        return values.reshape(*u.shape, self.channels), warp.get("weight")
 
     def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
         """f less the constant, float64 (samples, channels), checked."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..opencl.layout import Record
 from ..scene.load import Scene
 from .warp import DENSITY_BINS, pack_records
 
@@ -20,16 +21,20 @@ UNIFORM_SHARE = 0.3
 PRIOR_SAMPLES = 8.0
 
 
+# The scene's box: its lower corner, and how many boxes there are to a unit of length.
+FRAME = Record("GUIDE_FRAME", {"corner": 3, "cells": 3})
+
+
 def guide_frame(scene: Scene) -> np.ndarray:
-    """What guide.cl reads of the scene's box: lower corner, cells a unit of length; float32 (6,)."""
+    """What guide.cl reads of the scene's box, float32 (FRAME.size,)."""
     lower, upper = scene.bounds.astype(np.float64)
     extent = np.maximum(upper - lower, 1e-6 * (upper - lower).max())
-    return np.concatenate([lower, SIDE / extent]).astype(np.float32)
+    return FRAME.pack(corner=lower, cells=SIDE / extent)
 
 
 def guide_defines() -> dict[str, int]:
     """The `-D` constants of guide.cl, beside those of warp.cl."""
-    return {"GUIDE_SIDE": SIDE, "GUIDE_CHANNELS": 3}
+    return {"GUIDE_SIDE": SIDE, "GUIDE_CHANNELS": 3, **FRAME.defines()}
 
 
 class Guide(NamedTuple):
