@@ -19,11 +19,12 @@ from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
+from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
-GROUPS = 16
-CELLS = DENSITY_BINS**2
+GRADIENT_GROUPS = 16
+DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
 
@@ -52,21 +53,21 @@ class DensitySettings:
         Part of every density that is uniform, so that nothing overlooked gets a large weight.
     """
 
-    hidden: int = 32
-    columns: int = 128
-    samples_a_step: int = 16
-    steps: int = 640
-    most_epochs: int = 8
-    rate: float = 1e-2
-    final_rate: float = 1e-3
-    beta1: float = 0.9
-    beta2: float = 0.99
+    hidden: int = tuning.DENSITY_HIDDEN
+    columns: int = tuning.DENSITY_COLUMNS
+    samples_a_step: int = tuning.DENSITY_SAMPLES_A_STEP
+    steps: int = tuning.DENSITY_STEPS
+    most_epochs: int = tuning.DENSITY_EPOCHS
+    rate: float = tuning.DENSITY_RATE
+    final_rate: float = tuning.DENSITY_FINAL_RATE
+    beta1: float = tuning.DENSITY_BETA1
+    beta2: float = tuning.DENSITY_BETA2
     epsilon: float = 1e-8
-    uniform_share: float = 0.1
+    uniform_share: float = tuning.DENSITY_UNIFORM_SHARE
 
     def parameter_count(self, features: int) -> int:
         """Numbers of the network: hidden units, then a row and a bias for each cell."""
-        return (features + 1 + CELLS) * self.hidden + CELLS
+        return (features + 1 + DENSITY_CELLS) * self.hidden + DENSITY_CELLS
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:
         """The `-D` constants of density.cl but those of fitting."""
@@ -253,7 +254,7 @@ class DensityTrainer:
         start = self._start(len(features))
         self._parameters = HostArray.of(device, start)
         self._moments = [HostArray.of(device, np.zeros_like(start)) for _ in range(2)]
-        self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
+        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -279,7 +280,8 @@ class DensityTrainer:
         units, rows = features * hidden, (features + 1) * hidden
         parameters[:units] = generator.uniform(-1, 1, units) * math.sqrt(3 / features)
         bound = 1 / math.sqrt(hidden)
-        parameters[rows : rows + CELLS * hidden] = generator.uniform(-bound, bound, CELLS * hidden)
+        last = DENSITY_CELLS * hidden
+        parameters[rows : rows + last] = generator.uniform(-bound, bound, last)
         return parameters
 
     def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:
@@ -328,7 +330,7 @@ class DensityTrainer:
     def gradients(self, sample: int, first: int, count: int) -> int:
         """Enqueue one step's gradients; returns how many rows of partial sums they are."""
         samples, lanes = self._samples, self.device.lanes
-        groups = min(GROUPS, count)
+        groups = min(GRADIENT_GROUPS, count)
         self._program.kernel("density_gradients")(
             groups * lanes,
             sample,

@@ -12,7 +12,7 @@ from .warp import DENSITY_BINS, pack_records
 
 # Boxes along each axis of the scene; each has a cell for the six directions of normals.
 SIDE = 8
-CELLS = 6 * SIDE**3
+GUIDE_CELLS = 6 * SIDE**3
 BINS = DENSITY_BINS**2
 # Part of every density that is uniform.
 UNIFORM_SHARE = 0.3
@@ -38,9 +38,9 @@ class Guide(NamedTuple):
     Attributes
     ----------
     densities : ndarray
-        uint32 (CELLS, DENSITY_WORDS), records of warp.cl.
+        uint32 (GUIDE_CELLS, DENSITY_WORDS), records of warp.cl.
     means : ndarray
-        float32 (CELLS, 3), mean radiance that arrives over the square.
+        float32 (GUIDE_CELLS, 3), mean radiance that arrives over the square.
     """
 
     densities: np.ndarray
@@ -54,14 +54,14 @@ class GuideRecorder:
     Attributes
     ----------
     count, second : ndarray
-        float64 (CELLS * BINS,): samples, and the sum of their squared radiances.
+        float64 (GUIDE_CELLS * BINS,): samples, and the sum of their squared radiances.
     first : ndarray
-        float64 (3, CELLS), sums of radiances.
+        float64 (3, GUIDE_CELLS), sums of radiances.
     """
 
-    count: np.ndarray = field(default_factory=lambda: np.zeros(CELLS * BINS))
-    second: np.ndarray = field(default_factory=lambda: np.zeros(CELLS * BINS))
-    first: np.ndarray = field(default_factory=lambda: np.zeros((3, CELLS)))
+    count: np.ndarray = field(default_factory=lambda: np.zeros(GUIDE_CELLS * BINS))
+    second: np.ndarray = field(default_factory=lambda: np.zeros(GUIDE_CELLS * BINS))
+    first: np.ndarray = field(default_factory=lambda: np.zeros((3, GUIDE_CELLS)))
 
     def add(self, place: np.ndarray, radiance: np.ndarray) -> None:
         """Samples in cell place // BINS, part place % BINS of its square; radiance (3, samples)."""
@@ -69,14 +69,14 @@ class GuideRecorder:
         square = np.mean(radiance, axis=0) ** 2
         self.second += np.bincount(place, square, minlength=len(self.second))
         for total, channel in zip(self.first, radiance, strict=True):
-            total += np.bincount(place // BINS, channel, minlength=CELLS)
+            total += np.bincount(place // BINS, channel, minlength=GUIDE_CELLS)
 
     def guide(self) -> Guide:
         """Densities as the root mean square of the radiance, and means.
 
         A part of which few samples are known leans on its cell's mean, and a cell on that of all.
         """
-        count, second = self.count.reshape(CELLS, BINS), self.second.reshape(CELLS, BINS)
+        count, second = self.count.reshape(GUIDE_CELLS, BINS), self.second.reshape(GUIDE_CELLS, BINS)
         cells = count.sum(1)
         overall = self.first.sum(1, keepdims=True) / max(cells.sum(), 1.0)
         means = (self.first + PRIOR_SAMPLES * overall) / (cells + PRIOR_SAMPLES)
