@@ -27,6 +27,9 @@ from crossover import Curve
 from training import SCENES
 
 import ncv_cl as ncv
+from ncv_cl.estimation import tuning
+from ncv_cl.estimation.method import kind_of
+from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
@@ -45,17 +48,18 @@ METHODS = ("mc", "ncv")
 
 @dataclass(frozen=True)
 class Plan:
-    """Points a side; samples a point; samples of the image at most, and of dearer kinds."""
+    """Samples a point, by points a side; samples of the image at most, by what they cost."""
 
-    sizes: tuple[int, ...]
-    spps: tuple[int, ...]
-    most: int
-    most_nested: int
-    most_independent: int
+    spps: dict[int, tuple[int, ...]]
+    most: dict[str, int]
 
 
-FULL = Plan((64, 256), (4, 16, 64, 256, 1024, 4096), 1 << 26, 1 << 21, 1 << 22)
-QUICK = Plan((64,), (16, 64, 256, 1024), 1 << 22, 1 << 18, 1 << 20)
+SMALL = (4, 16, 64, 256, 1024)
+FULL = Plan(
+    {64: (*SMALL, 4096, 16384, 65536), 256: SMALL},
+    {"direct": 1 << 28, "ao": 1 << 26, "gi": 1 << 23, "independent": 1 << 22},
+)
+QUICK = Plan({64: SMALL[1:]}, {"direct": 1 << 22, "ao": 1 << 22, "gi": 1 << 18, "independent": 1 << 20})
 SEEDS = (0, 1)
 
 
@@ -78,11 +82,10 @@ def measure(
         return clock() - began, image
 
     for method in METHODS:
-        _, image = render(method, plan.spps[0], 0)
+        _, image = render(method, plan.spps[size][0], 0)
     points = image.stats["points"]
-    most = plan.most if sampler == "sobol" else plan.most_independent
-    most = min(most, plan.most_nested) if integrand == "gi" else most
-    spps = [spp for spp in plan.spps if spp * points <= most]
+    most = min(plan.most[integrand], plan.most.get(sampler, math.inf))
+    spps = [spp for spp in plan.spps[size] if spp * points <= most]
     runs = {(method, spp): [] for method in METHODS for spp in spps}
     for seed in SEEDS:
         for method, spp in runs:
@@ -125,11 +128,6 @@ def ratios(found: dict[str, list[dict]], number: int) -> dict[str, float]:
     return result
 
 
-def kind_of(row: dict) -> str:
-    """What the rule tells apart."""
-    return f"{row['integrand']} {row['sampler']}"
-
-
 def choice(rows: list[dict], threshold: float) -> list[float]:
     """Ratios of what a threshold chooses."""
     return [row["ncv" if row["samples"] >= threshold else "mc"] for row in rows]
@@ -137,7 +135,8 @@ def choice(rows: list[dict], threshold: float) -> list[float]:
 
 def threshold_of(rows: list[dict]) -> float:
     """The power of two, or infinity, whose worst ratio is the best; of equal ones, the best mean."""
-    candidates = [*(2.0**k for k in range(14, 28)), math.inf]
+    most = max(row["samples"] for row in rows)
+    candidates = [*(2.0**k for k in range(14, int(math.log2(most)) + 1)), math.inf]
 
     def worth(threshold: float) -> tuple[float, float]:
         ratios = choice(rows, threshold)
@@ -150,15 +149,16 @@ def show(rows: list[dict]) -> None:
     """Print the table, and each kind's threshold."""
     for row in rows:
         print(line(row))
-    for kind in dict.fromkeys(map(kind_of, rows)):
-        own = [row for row in rows if kind_of(row) == kind]
+    kinds = [kind_of(INTEGRANDS[row["integrand"]](), row["sampler"]) for row in rows]
+    for kind in dict.fromkeys(kinds):
+        own = [row for row, its in zip(rows, kinds, strict=True) if its == kind]
         threshold = threshold_of(own)
-        got = choice(own, threshold)
-        print(
-            f"{kind}: from {threshold:.3g} samples on; ratio at worst {min(got):.2f}, "
-            f"mean {np.exp(np.mean(np.log(got))):.2f} "
-            f"(mc {min(choice(own, math.inf)):.2f}, ncv {min(choice(own, 0)):.2f} at worst)"
-        )
+        number = "math.inf" if threshold == math.inf else f"1 << {math.log2(threshold):.0f}"
+        print(f"{kind} = {number}")
+        now = getattr(tuning, kind)
+        for name, limit in (("this", threshold), ("tuning.py", now), ("mc", math.inf), ("ncv", 0)):
+            got = choice(own, limit)
+            print(f"  {name:9}: ratio {min(got):.2f} at worst, {np.exp(np.mean(np.log(got))):.2f} mean")
 
 
 def line(row: dict) -> str:
@@ -188,7 +188,7 @@ def main() -> None:
     rows = []
     for case in cases:
         for sampler in ("sobol", "independent"):
-            for size in plan.sizes:
+            for size in plan.spps:
                 rows += measure(device, case, size, sampler, plan, clock)
                 print(f"{case[0]} {case[1]} {sampler} {size}", flush=True)
         if options.json:

@@ -30,12 +30,13 @@ from training import SCENES
 import ncv_cl as ncv
 from ncv_cl.learning import density
 from ncv_cl.opencl.choose import choose_device
+from ncv_cl.sampling import guide
 from ncv_cl.settings.presets import PRESETS
 from ncv_cl.settings.schedule import Schedule
 
-FOLDERS = ("settings", "learning", "estimation")
+FOLDERS = ("settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
-ELSEWHERE = ("SAMPLES_THAT_PAY", "NESTED_SAMPLES_THAT_PAY")
+ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY")
 VALUES = {
     "HIDDEN": ((8, 8), (16, 8), (16, 16)),
     "WIDE_HIDDEN": ((8, 8), (16, 16), (24, 24)),
@@ -49,6 +50,7 @@ VALUES = {
     "DENSITY_BETA2": (0.9, 0.99, 0.999),
     "MAGNITUDE_POWER": (0.7, 0.8, 0.9, 1.0),
     "OWN_SHARE": (0.1, 0.3, 0.5),
+    "GUIDE_UNIFORM_SHARE": (0.1, 0.2, 0.3, 0.5),
     "LOCAL_RADIUS": (1, 2, 3, 5),
 }
 
@@ -92,8 +94,13 @@ TRIALS = {
     "VALUES_A_CLASS": VARIANCE,
     "MOST_CLASSES": replace(VARIANCE, size=128),
     "PRIOR_SAMPLES": VARIANCE,
-    "LOCAL_RADIUS": VARIANCE,
-    "OWN_SHARE": VARIANCE,
+    "LOCAL_RADIUS": replace(VARIANCE, options={"method": "mc"}),
+    "OWN_SHARE": replace(VARIANCE, options={"method": "mc"}),
+    "GUIDE_SIDE": Trial(PATHS),
+    "GUIDE_UNIFORM_SHARE": Trial(PATHS),
+    "GUIDE_PRIOR_SAMPLES": Trial(PATHS),
+    # With "auto" two uses are the most.
+    "EPOCHS": Trial(options={"method": "ncv", "train_spp": 16}),
 }
 
 
@@ -125,8 +132,10 @@ def values_of(name: str) -> tuple:
 def set_to(name: str, value: object) -> Iterator[None]:
     """While the block lasts, a number has another value, defaults and presets made of it too."""
     module, kept, settings = module_of(name), dict(PRESETS), density.DensitySettings
-    present = getattr(module, name)
+    present, cells = getattr(module, name), guide.GUIDE_CELLS
     setattr(module, name, value)
+    if name == "GUIDE_SIDE":
+        guide.GUIDE_CELLS = 6 * value**3
     own, shared = name.lower(), [one.name for one in fields(Schedule)]
     changed = {own.removeprefix("wide_"): value}
     if module.__name__ == "ncv_cl.settings.tuning":
@@ -144,7 +153,7 @@ def set_to(name: str, value: object) -> Iterator[None]:
     finally:
         setattr(module, name, present)
         PRESETS.update(kept)
-        density.DensitySettings = settings
+        density.DensitySettings, guide.GUIDE_CELLS = settings, cells
 
 
 def measure(
@@ -183,8 +192,8 @@ def score(pixels: np.ndarray, variance: np.ndarray) -> float:
     seeds = len(pixels)
     squares = (pixels - pixels.mean(axis=0)) ** 2 * seeds / (seeds - 1)
     known = np.isfinite(variance)
-    # Where nothing varies there is nothing to claim.
-    v = np.where(known, variance, 1.0) + 1e-6 * squares.mean()
+    # What is far below the image's own is nothing that anybody sees, however wrong a claim of it is.
+    v = np.where(known, variance, 1.0) + 1e-3 * squares.mean()
     return float((np.log(v) + squares / v)[known].mean())
 
 

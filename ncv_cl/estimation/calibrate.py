@@ -11,7 +11,7 @@ from ..sampling.accumulate import Estimate
 from . import tuning
 
 # Stands for a ratio of zero, which has no logarithm.
-SMALLEST_RATIO = 1e-9
+LEAST_RATIO = 1e-9
 
 
 def points_done_twice(points: int, seed: int) -> np.ndarray:
@@ -137,6 +137,6 @@ def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) 
     middle = np.array([(expected[one] @ np.log(expected[one])) for one in classes]) / sums
     ratios = np.array([measured[one].sum() for one in classes]) / sums
     # Straight between logarithms, constant beyond the first and the last class.
-    logarithms = np.log(np.maximum(ratios, SMALLEST_RATIO))
+    logarithms = np.log(np.maximum(ratios, LEAST_RATIO))
     places = np.log(np.maximum(where, np.exp(middle[0] - 1)))
     return np.exp(np.interp(places, middle, logarithms))

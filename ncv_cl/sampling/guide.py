@@ -8,28 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from ..scene.load import Scene
+from . import tuning
 from .warp import DENSITY_BINS, pack_records
 
-# Boxes along each axis of the scene; each has a cell for the six directions of normals.
-SIDE = 8
-GUIDE_CELLS = 6 * SIDE**3
+# A cell for each of the six directions of normals in each box.
+GUIDE_CELLS = 6 * tuning.GUIDE_SIDE**3
 BINS = DENSITY_BINS**2
-# Part of every density that is uniform.
-UNIFORM_SHARE = 0.3
-# Samples that what is known of a cell, and of all cells, counts for.
-PRIOR_SAMPLES = 8.0
 
 
 def guide_frame(scene: Scene) -> np.ndarray:
     """What guide.cl reads of the scene's box: lower corner, cells a unit of length; float32 (6,)."""
     lower, upper = scene.bounds.astype(np.float64)
     extent = np.maximum(upper - lower, 1e-6 * (upper - lower).max())
-    return np.concatenate([lower, SIDE / extent]).astype(np.float32)
+    return np.concatenate([lower, tuning.GUIDE_SIDE / extent]).astype(np.float32)
 
 
 def guide_defines() -> dict[str, int]:
     """The `-D` constants of guide.cl, beside those of warp.cl."""
-    return {"GUIDE_SIDE": SIDE, "GUIDE_CHANNELS": 3}
+    return {"GUIDE_SIDE": tuning.GUIDE_SIDE, "GUIDE_CHANNELS": 3}
 
 
 class Guide(NamedTuple):
@@ -76,15 +72,16 @@ class GuideRecorder:
 
         A part of which few samples are known leans on its cell's mean, and a cell on that of all.
         """
+        prior, uniform = tuning.GUIDE_PRIOR_SAMPLES, tuning.GUIDE_UNIFORM_SHARE
         count, second = self.count.reshape(GUIDE_CELLS, BINS), self.second.reshape(GUIDE_CELLS, BINS)
         cells = count.sum(1)
         overall = self.first.sum(1, keepdims=True) / max(cells.sum(), 1.0)
-        means = (self.first + PRIOR_SAMPLES * overall) / (cells + PRIOR_SAMPLES)
+        means = (self.first + prior * overall) / (cells + prior)
         everywhere = second.sum() / max(count.sum(), 1.0)
-        cell = (second.sum(1) + PRIOR_SAMPLES * everywhere) / (count.sum(1) + PRIOR_SAMPLES)
-        mean = (second + PRIOR_SAMPLES * cell[:, None]) / (count + PRIOR_SAMPLES)
+        cell = (second.sum(1) + prior * everywhere) / (count.sum(1) + prior)
+        mean = (second + prior * cell[:, None]) / (count + prior)
         magnitude = np.sqrt(mean)
         total = magnitude.sum(1, keepdims=True)
         learned = np.divide(magnitude, total, out=np.full_like(magnitude, 1 / BINS), where=total > 0)
-        densities = pack_records((1 - UNIFORM_SHARE) * learned + UNIFORM_SHARE / BINS)
+        densities = pack_records((1 - uniform) * learned + uniform / BINS)
         return Guide(densities, means.T.astype(np.float32))

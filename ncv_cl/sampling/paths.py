@@ -20,7 +20,7 @@ from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .warp import Warp, warp_defines
 
 # A depth that no path reaches.
-UNLIMITED = 1 << 30
+EVERY_DEPTH = 1 << 30
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
 # Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
@@ -134,7 +134,7 @@ class PathSource(SampleSource):
         shadows_tested: bool = False,
     ) -> None:
         super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
-        self._max_depth = integrand.max_depth or UNLIMITED
+        self._max_depth = integrand.max_depth or EVERY_DEPTH
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
