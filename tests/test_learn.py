@@ -63,7 +63,7 @@ def test_points_that_are_trained_on_are_chosen_once(active, train_spp):
     for seed in range(20):
         training = Training(train_spp=train_spp)
         settings = Settings(DirectLight(), "ncv", 64, (active, 1), seed, training=training)
-        chosen, _ = settings.training_points(active, TRAINING_PASS, 1 << 19)
+        chosen, _ = settings.training_points(active, TRAINING_PASS, 0.0)
         assert len(np.unique(chosen)) == len(chosen) and chosen.max() < active
 
 

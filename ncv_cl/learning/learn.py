@@ -96,7 +96,9 @@ def training_budget(settings: Settings, active: int) -> Budget:
     """
     if settings.training.train_spp == "auto" and settings.preset.subset and not settings.guides:
         return plan(active, settings.spp, settings.seed)
-    chosen, samples = settings.training_points(active, TRAINING_PASS, tuning.UNDECIDED_SAMPLES)
+    most = max(settings.spp * tuning.LARGEST_TRAINING_SHARE, 1.0)
+    auto_spp = min(tuning.UNDECIDED_SAMPLES / active, most)
+    chosen, samples = settings.training_points(active, TRAINING_PASS, auto_spp)
     return Budget([Round(chosen, range(samples))])
 
 

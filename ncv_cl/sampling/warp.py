@@ -9,7 +9,7 @@ import numpy as np
 
 from ..opencl.device import HostArray
 
-# Cells an axis of a density.
+# Cells an axis of a density: the edges between eight are seven bytes, of two words.
 DENSITY_BINS = 8
 # Words of a record: two for the strips, and two for each strip's cells.
 DENSITY_WORDS = 2 * (DENSITY_BINS + 1)
