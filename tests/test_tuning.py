@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
 import bench_method
 import bench_tuning
 
+from ncv_cl.output import report
+
 ROOT = Path(__file__).parent.parent
 PACKAGE = Path(ncv_cl.__file__).parent
 FILES = sorted(PACKAGE.rglob("tuning.py"))
@@ -71,6 +73,23 @@ def test_every_number_can_be_varied():
             with bench_tuning.set_to(name, value):
                 assert getattr(bench_tuning.module_of(name), name) == value
         assert getattr(bench_tuning.module_of(name), name) == present
+
+
+def test_every_number_is_part_of_a_checkpoints_identity(tmp_path, monkeypatch):
+    """Of a copy of the package, one number after another is changed."""
+    monkeypatch.setattr(report, "__file__", str(tmp_path / "output" / "report.py"))
+    for path in FILES:
+        copy = tmp_path / path.parent.name / "tuning.py"
+        copy.parent.mkdir()
+        copy.write_bytes(path.read_bytes())
+    digests = {report.tuning_digest.__wrapped__()}
+    assert digests == {report.tuning_digest()}
+    for path in FILES:
+        copy = tmp_path / path.parent.name / "tuning.py"
+        copy.write_bytes(path.read_bytes() + b"MORE = 1\n")
+        digests.add(report.tuning_digest.__wrapped__())
+        copy.write_bytes(path.read_bytes())
+    assert len(digests) == 1 + len(FILES)
 
 
 def test_no_two_constants_share_a_name():
