@@ -6,6 +6,7 @@ import ast
 import re
 import shlex
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -120,11 +121,25 @@ def test_a_ratio_is_of_the_sooner_method():
     assert many == pytest.approx({"mc": 19 / 64, "ncv": 1.0})
 
 
+def test_the_rules_script_measures_and_prints_every_number(one_device, capsys):
+    plan = bench_method.Plan({8: (4, 16, 64)}, dict.fromkeys(("direct", "ao", "gi", "independent"), 1e9))
+    rows = []
+    for case in (("cornell_box", "direct"), ("knot", "ao"), ("cornell_box", "gi")):
+        rows += bench_method.measure(one_device, case, 8, "sobol", plan, time.process_time)
+    for row in rows:
+        assert row["samples"] % row["spp"] == 0 and row["mc mse"] > 0 and row["ncv mse"] > 0
+        assert 0 < row["mc"] <= 1 and 0 < row["ncv"] <= 1
+    bench_method.show(rows)
+    out = capsys.readouterr().out
+    for name in bench_tuning.ELSEWHERE:
+        assert re.search(rf"^{name} = (1 << \d+|math.inf)$", out, re.MULTILINE)
+
+
 @pytest.mark.parametrize("name", ["GAIN", "DENSITY_STEPS", "HIDDEN", "OWN_SHARE"])
 def test_a_number_is_varied_in_whole_renders(one_device, capsys, name):
     trial = bench_tuning.TRIALS.get(name, bench_tuning.Trial())
     trial = bench_tuning.replace(trial, cases=trial.cases[:1], size=12, spp=8)
-    found = bench_tuning.measure(name, trial, 2, one_device, bench_tuning.time.process_time)
+    found = bench_tuning.measure(name, trial, 2, one_device, time.process_time)
     bench_tuning.show(name, trial, found)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + len(bench_tuning.values_of(name))
