@@ -22,7 +22,7 @@ from .integrands.ao import MAPPINGS
 from .integrands.named import named_integrand
 from .integration.certificate import PRECISIONS
 from .integration.integrate import integrate
-from .integration.integrator import METHODS as INTEGRATION_METHODS
+from .integration.integrator import INTEGRATION_METHODS
 from .integration.subdivide import draw_subdivision, subdivide
 from .opencl.choose import devices
 from .output.image import Image, check_output_path

@@ -8,13 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
-# spread ones, whose error falls faster than 1 / n, a little less (measured over the shipped scenes).
-MAGNITUDE_POWER = 0.9
-# A point whose residual is predicted to be nothing still gets so many: predictions are not certainties.
-FEWEST_SAMPLES = 4
-# No point gets more than this multiple of the average.
-LARGEST_SHARE = 64
+from . import tuning
+
 # Samples are numbered by 32 bits.
 LARGEST_NUMBER_BITS = 31
 
@@ -101,8 +96,7 @@ class Allocation:
 def allocate(
     magnitude: np.ndarray,
     average: int,
-    fewest: int = FEWEST_SAMPLES,
-    power: float = MAGNITUDE_POWER,
+    fewest: int | None = None,
 ) -> np.ndarray:
     """Samples for each point, as a power of its predicted residual; int64 (points,).
 
@@ -116,20 +110,21 @@ def allocate(
         (points,), non-negative: the root mean square of each point's residual.
     average : int
         Samples a point on average.
-    fewest : int
-        A power of two.
+    fewest : int, optional
+        A power of two; `tuning.FEWEST_SAMPLES` by default.
 
     Notes
     -----
-    Minimises the sum of magnitude² / n^(2 / power - 1) for a given sum of n (Lagrange multiplier).
+    Minimises the sum of magnitude² / n^(2 / power - 1) for a given sum of n (Lagrange multiplier), power
+    being `tuning.MAGNITUDE_POWER`.
     """
     if not len(magnitude):
         return np.zeros(0, np.int64)
-    fewest = min(fewest, 1 << (average.bit_length() - 1))
-    most = 1 << min((LARGEST_SHARE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
+    fewest = min(fewest or tuning.FEWEST_SAMPLES, 1 << (average.bit_length() - 1))
+    most = 1 << min((tuning.LARGEST_MULTIPLE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
     with np.errstate(divide="ignore"):
         # Of zero: minus infinity, which gets the fewest.
-        wanted = power * np.log2(np.asarray(magnitude, np.float64))
+        wanted = tuning.MAGNITUDE_POWER * np.log2(np.asarray(magnitude, np.float64))
     if not np.isfinite(wanted).any():
         return np.full(len(wanted), average, np.int64)
     ranked = np.sort(wanted)

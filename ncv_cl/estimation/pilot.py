@@ -9,17 +9,14 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
+from . import tuning
 from .allocate import Allocation, allocate
 from .passes import Passes, Target, short_pass_edges, shortest_pass
-
-# Samples a point that the points' variances are learned from, at most, and as a part of all.
-PILOT_SAMPLES = 64
-PILOT_SHARE = 1 / 4
 
 
 def pilot_samples(spp: int) -> int:
     """Samples a point of the pilot of `spp` in all."""
-    return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
+    return max(1, min(tuning.PILOT_SAMPLES, int(spp * tuning.PILOT_SHARE)))
 
 
 def draw_pilot(problem: Problem, settings: Settings, run: Run) -> Estimate:

@@ -14,7 +14,7 @@ from .arrangement import robust_shape_constants, shape_constants
 from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
 from .stage import ROBUST_FILES, ArrangementStage, ClippingStage, Constants, Networks
 
-METHODS = ("decoupled", "full")
+INTEGRATION_METHODS = ("decoupled", "full")
 MAX_HIDDEN_LAYERS = 4
 MAX_WIDTH = 128
 # Steeper than any leaky relu; a few layers of it do not leave the range of single precision.
@@ -323,8 +323,8 @@ def _check_shape(widths: tuple[int, ...]) -> None:
 
 
 def check_options(method: str, precision: str, negative_slope: float, device: Device) -> None:
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {METHODS}, is {method!r}")
+    if method not in INTEGRATION_METHODS:
+        raise ValueError(f"method must be one of {INTEGRATION_METHODS}, is {method!r}")
     if precision not in PRECISIONS:
         raise ValueError(f"precision must be one of {tuple(PRECISIONS)}, is {precision!r}")
     if precision == "float64" and not device.has_float64:

@@ -10,16 +10,8 @@ from ..network.network import FoldedNetwork
 from ..opencl.device import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
+from . import tuning
 from .train import TrainingSamples
-
-# A tile of the image has about so many training samples, whose points share one coefficient a channel.
-SAMPLES_A_TILE = 256
-# Samples that speak for a coefficient of 1, whatever was seen.
-PSEUDO_SAMPLES = 32
-# Below this the network is worth less than it costs, and counts as nothing.
-SMALLEST = 0.1
-# What is far above 1 was seen by chance.
-LARGEST = 2.0
 
 
 def can_scale(folded: FoldedNetwork) -> bool:
@@ -57,8 +49,9 @@ def control_coefficients(
         products = np.bincount(own_tile, product, number)
         squares = np.bincount(own_tile, square, number)
         best = np.where(squares > 0, products / np.maximum(squares, 1e-30), 1.0)
-        shrunk = 1.0 + (best - 1.0) * seen / (seen + PSEUDO_SAMPLES)
-        found[channel] = np.where(shrunk < SMALLEST, 0.0, np.minimum(shrunk, LARGEST))[tile]
+        shrunk = 1.0 + (best - 1.0) * seen / (seen + tuning.PSEUDO_SAMPLES)
+        bounded = np.minimum(shrunk, tuning.LARGEST_COEFFICIENT)
+        found[channel] = np.where(shrunk < tuning.SMALLEST_COEFFICIENT, 0.0, bounded)[tile]
     return found
 
 
@@ -99,5 +92,5 @@ def _column_moments(folded: FoldedNetwork, samples: TrainingSamples) -> np.ndarr
 
 
 def _tile_side(points: int, samples: int) -> int:
-    """Sub-pixels along a side of a tile that holds `SAMPLES_A_TILE` of `samples`."""
-    return max(1, math.ceil(math.sqrt(SAMPLES_A_TILE * points / max(samples, 1))))
+    """Sub-pixels along a side of a tile that holds `tuning.SAMPLES_A_TILE` of `samples`."""
+    return max(1, math.ceil(math.sqrt(tuning.SAMPLES_A_TILE * points / max(samples, 1))))

@@ -20,11 +20,12 @@ from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
+from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
-GROUPS = 16
-CELLS = DENSITY_BINS**2
+GRADIENT_GROUPS = 16
+DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
 
@@ -53,22 +54,24 @@ class DensitySettings:
         Part of every density that is uniform, so that nothing overlooked gets a large weight.
     """
 
-    hidden: int = 32
-    columns: int = 128
-    samples_a_step: int = 16
-    steps: int = 640
-    most_epochs: int = 8
-    rate: float = 1e-2
-    final_rate: float = 1e-3
-    beta1: float = 0.9
-    beta2: float = 0.99
+    hidden: int = tuning.DENSITY_HIDDEN
+    columns: int = tuning.DENSITY_COLUMNS
+    samples_a_step: int = tuning.DENSITY_SAMPLES_A_STEP
+    steps: int = tuning.DENSITY_STEPS
+    most_epochs: int = tuning.DENSITY_EPOCHS
+    rate: float = tuning.DENSITY_RATE
+    final_rate: float = tuning.DENSITY_FINAL_RATE
+    beta1: float = tuning.DENSITY_BETA1
+    beta2: float = tuning.DENSITY_BETA2
     epsilon: float = 1e-8
-    uniform_share: float = 0.1
+    uniform_share: float = tuning.DENSITY_UNIFORM_SHARE
 
     def parameters(self, features: int) -> Record:
         """The network's numbers: weights and biases of its units, then rows and biases of cells."""
         fields = {"units": features * self.hidden, "unit_bias": self.hidden}
-        return Record("MAGNITUDE", {**fields, "rows": CELLS * self.hidden, "cell_bias": CELLS})
+        return Record(
+            "MAGNITUDE", {**fields, "rows": DENSITY_CELLS * self.hidden, "cell_bias": DENSITY_CELLS}
+        )
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:
         """The `-D` constants of density.cl but those of fitting."""
@@ -256,7 +259,7 @@ class DensityTrainer:
         self._moments = {
             name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
         }
-        self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
+        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -283,7 +286,7 @@ class DensityTrainer:
         units = generator.uniform(-1, 1, features * hidden)
         parameters[layout["units"]] = units * math.sqrt(3 / features)
         bound = 1 / math.sqrt(hidden)
-        parameters[layout["rows"]] = generator.uniform(-bound, bound, CELLS * hidden)
+        parameters[layout["rows"]] = generator.uniform(-bound, bound, DENSITY_CELLS * hidden)
         return parameters
 
     def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:
@@ -332,7 +335,7 @@ class DensityTrainer:
     def gradients(self, sample: int, first: int, count: int) -> int:
         """Enqueue one step's gradients; returns how many rows of partial sums they are."""
         samples, lanes = self._samples, self.device.lanes
-        groups = min(GROUPS, count)
+        groups = min(GRADIENT_GROUPS, count)
         self._program.kernel("density_gradients")(
             groups * lanes,
             sample=sample,

@@ -21,20 +21,11 @@ from ..sampling.samples import Batch
 from ..settings.presets import Preset
 from ..settings.schedule import Schedule
 from ..settings.settings import Settings
+from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
 from .held_out import HeldOut
 from .train import Trainer, TrainingSamples
 
-# How often a sample is used with `train_spp` "auto".
-AUTO_EPOCHS = 2
-# Samples in all with "auto" where held-out variance does not decide.
-UNDECIDED_SAMPLES = 1 << 19
-# Few points make few steps of a pass; samples are used more often then, up to so often. Points that fit
-# one minibatch bear many steps; where there are more, with few samples each, the network soon knows the
-# samples by heart.
-FEWEST_STEPS = 64
-FEWEST_STEPS_OF_ONE_BATCH = 512
-MOST_EPOCHS = 128
 # Training samples held at a time.
 TRAINING_SAMPLES_HELD = 1 << 23
 
@@ -105,7 +96,9 @@ def training_budget(settings: Settings, active: int) -> Budget:
     """
     if settings.training.train_spp == "auto" and settings.preset.subset and not settings.guides:
         return plan(active, settings.spp, settings.seed)
-    chosen, samples = settings.training_points(active, TRAINING_PASS, UNDECIDED_SAMPLES)
+    most = max(settings.spp * tuning.LARGEST_TRAINING_SHARE, 1.0)
+    auto_spp = min(tuning.UNDECIDED_SAMPLES / active, most)
+    chosen, samples = settings.training_points(active, TRAINING_PASS, auto_spp)
     return Budget([Round(chosen, range(samples))])
 
 
@@ -196,7 +189,7 @@ class _Learning:
         schedule = preset.schedule
         epochs = schedule.epochs
         if self.settings.training.train_spp == "auto":
-            epochs = min(epochs, AUTO_EPOCHS)
+            epochs = min(epochs, tuning.AUTO_EPOCHS)
         rate = schedule.rate * slower
         return replace(
             schedule,
@@ -272,6 +265,6 @@ def _enough_epochs(preset: Preset, epochs: int, points: int, samples: int) -> in
         return epochs
     schedule = preset.schedule
     batches = max(1, round(points / schedule.batch))
-    wanted = FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else FEWEST_STEPS
+    wanted = tuning.FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else tuning.FEWEST_STEPS
     steps = batches * max(1, samples // schedule.samples_a_step)
-    return max(epochs, min(MOST_EPOCHS, -(-wanted // steps)))
+    return max(epochs, min(tuning.MOST_EPOCHS, -(-wanted // steps)))

@@ -13,25 +13,20 @@ from ..host.clock import CHECKED_STEPS
 from ..network.encode import Encoder, GridIndex, TouchedTable
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
-from ..opencl.device import Device, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, Device, HostArray
 from ..opencl.layout import Record
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.samples import Batch, ray_defines
 from ..settings.schedule import Schedule
+from . import tuning
 
-# Bytes of local memory that the gradient kernel may use; every GPU has this much.
-LOCAL_BYTES = 48 << 10
-# On CPUs local memory is cache, and small tiles share a step's columns among more threads.
-CPU_LOCAL_BYTES = 256 << 10
-CPU_MAX_TILE = 16
-MAX_TILE = 64
 # PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
 # first thread would get too many, were its first ones not empty.
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
-GROUPS = 64
+PARTIAL_SUMS = 64
 # A step: the first of its samples, its columns, its work-groups, and its entries of the grid's index.
 PLAN = Record(
     "PLAN",
@@ -47,7 +42,7 @@ def minibatches(count: int, columns: int) -> list[range]:
 
     A run that ended a column into a tile would keep one thread busy with it while the others wait.
     """
-    width = min(CPU_MAX_TILE, columns)
+    width = min(tuning.CPU_TILE, columns)
     tiles = -(-count // width)
     edges = np.linspace(0, tiles, max(1, round(count / columns)) + 1).astype(int) * width
     return [range(a, b) for a, b in itertools.pairwise(np.minimum(edges, count).tolist())]
@@ -146,13 +141,13 @@ class Trainer:
         self._table = TouchedTable(device, table, self._index.touched, moments)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
-        tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
+        tiles = [min(PARTIAL_SUMS, -(-len(batch) // self._tile)) for batch in self._batches]
         self._gradient_items = [(n + self._idle_groups) * device.lanes for n in tiles]
         blocks = self._layout.size // device.vector_width
         self._adam_items = [
             blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
         ]
-        self._partial = HostArray(device, (GROUPS, self._layout.size), np.float32)
+        self._partial = HostArray(device, (PARTIAL_SUMS, self._layout.size), np.float32)
         self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
         stride, channels = self._encoder.stride, description.channels
@@ -261,7 +256,7 @@ class Trainer:
         sample, batch = np.array(order).T
         columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
         entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
-        groups = np.minimum(GROUPS, -(-columns[:, 1] // self._tile))
+        groups = np.minimum(PARTIAL_SUMS, -(-columns[:, 1] // self._tile))
         plan = PLAN.pack(
             sample=sample,
             first=columns[:, 0],
@@ -323,8 +318,8 @@ class Trainer:
         hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
         floats_a_column = features + layout.feature_floats + 2 * rows + hidden + 1
         available = device.cl_device.local_mem_size
-        budget = min(CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES, available)
-        largest = CPU_MAX_TILE if device.lanes == 1 else MAX_TILE
+        budget = min(tuning.CPU_LOCAL_BYTES if device.lanes == 1 else GPU_LOCAL_BYTES, available)
+        largest = tuning.CPU_TILE if device.lanes == 1 else tuning.GPU_TILE
         self._tile = vec
         while 8 * self._tile * floats_a_column <= budget and self._tile < largest:
             self._tile *= 2

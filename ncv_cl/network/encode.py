@@ -12,12 +12,12 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import Program, build
 from ..points.points import INPUTS, ShadingPoints, surface_defines
 
-# Shading points that extend over less than this part of the scene have a grid of their own; the part of
-# them that may lie outside it, to each side.
-SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
+# Shading points that extend over less than this part of the scene, three levels of its grid, have a grid
+# of their own; a few of them may lie outside it, this part to each side.
+SMALL_PART, OUTLIERS = 1 / 8, 1 / 64
 # What the kernels can hold: vectors of so many features, indices of 32 bits.
 ENTRY_FEATURES = (1, 2, 4, 8, 16)
-MOST_CELLS = 1 << 30
+MOST_GRID_CELLS = 1 << 30
 MOST_TABLE_FLOATS = 1 << 28
 
 
@@ -48,14 +48,14 @@ class Encoding:
         some_of("inputs", self.inputs, INPUTS)
         if "position" not in self.inputs:
             raise ValueError(f"inputs must hold position, are {self.inputs!r}")
-        for name, most in (("levels", 32), ("base", MOST_CELLS), ("entries", 1 << 24)):
+        for name, most in (("levels", 32), ("base", MOST_GRID_CELLS), ("entries", 1 << 24)):
             whole_number(f"grid_{name}", getattr(self, f"grid_{name}"), 1, most)
         if self.grid_features not in ENTRY_FEATURES:
             raise ValueError(f"grid_features must be of {ENTRY_FEATURES}, is {self.grid_features!r}")
-        if self.grid_base << (self.grid_levels - 1) > MOST_CELLS:
+        if self.grid_base << (self.grid_levels - 1) > MOST_GRID_CELLS:
             raise ValueError(
                 f"the finest of grid_levels {self.grid_levels} over grid_base {self.grid_base} has more "
-                f"than {MOST_CELLS} cells an axis"
+                f"than {MOST_GRID_CELLS} cells an axis"
             )
         if self.grid_entries * self.grid_rows > MOST_TABLE_FLOATS:
             raise ValueError(f"the hash grid's table would hold more than {MOST_TABLE_FLOATS} numbers")

@@ -39,7 +39,7 @@ class NetworkError(ValueError):
 
 
 # Groups of weights that φ may act on, in the order of their rows; W2 is the same for all points.
-GROUPS = ("W1", "B1", "B2", "W3", "B3")
+WEIGHT_GROUPS = ("W1", "B1", "B2", "W3", "B3")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class NetworkDescription:
     hidden : tuple of int
         Widths of the two hidden ReLU layers.
     modulated : tuple of str
-        Those of `GROUPS` that are ``base + head · features(φ)``; the others are ``base`` alone.
+        Those of `WEIGHT_GROUPS` that are ``base + head · features(φ)``; the others are ``base`` alone.
     demodulated : bool
         Whether the network learns f over the mean of its unshadowed part, point by point.
     """
@@ -62,7 +62,7 @@ class NetworkDescription:
     encoding: Encoding
     channels: int
     hidden: tuple[int, int] = (16, 16)
-    modulated: tuple[str, ...] = GROUPS
+    modulated: tuple[str, ...] = WEIGHT_GROUPS
     demodulated: bool = False
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class NetworkDescription:
             raise ValueError(f"hidden must be the widths of two layers, is {self.hidden!r}")
         for width in self.hidden:
             whole_number("hidden", width, 1, WIDEST)
-        some_of("modulated", self.modulated, GROUPS)
+        some_of("modulated", self.modulated, WEIGHT_GROUPS)
         if not isinstance(self.demodulated, bool):
             raise ValueError(f"demodulated must be true or false, is {self.demodulated!r}")
 
@@ -90,8 +90,8 @@ class NetworkDescription:
     @property
     def group_rows(self) -> dict[str, int]:
         """First row of each group: modulated groups, which have heads, come first."""
-        order = [g for g in GROUPS if g in self.modulated] + [
-            g for g in GROUPS if g not in self.modulated
+        order = [g for g in WEIGHT_GROUPS if g in self.modulated] + [
+            g for g in WEIGHT_GROUPS if g not in self.modulated
         ]
         rows, row = {}, 0
         for group in order:
@@ -134,7 +134,7 @@ class NetworkDescription:
     def fold_layout(self, width: int) -> tuple[dict[str, int], int]:
         """First row of each modulated group, padded to vectors of `width`, and the number of rows."""
         offsets, row = {}, 0
-        for group in GROUPS:
+        for group in WEIGHT_GROUPS:
             if group in self.modulated:
                 offsets[group] = row
                 row += -(-math.prod(self.group_shapes[group]) // width) * width
@@ -143,7 +143,7 @@ class NetworkDescription:
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
         shapes = self.group_shapes
-        strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in GROUPS}
+        strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in WEIGHT_GROUPS}
         return {
             **self.encoding.defines(),
             **{f"ROW_{group}": row for group, row in self.group_rows.items()},
@@ -350,7 +350,7 @@ class FoldedNetwork:
             table=HostArray.of(device, network.table),
             heads=heads_array,
             factor=factor if factor is not None else heads_array,
-            **{group.lower(): self.groups[group] for group in GROUPS},
+            **{group.lower(): self.groups[group] for group in WEIGHT_GROUPS},
         )
         device.queue.finish()
 

@@ -19,6 +19,11 @@ from .runtimes import loaded_elsewhere, platforms
 GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate.
 GROUP_SIZE = 64
+# Groups on a GPU that share work among themselves: enough to hide latencies, few enough to keep their
+# tables in the cache.
+GROUPS_PER_COMPUTE_UNIT = 8
+# Local memory that every GPU has.
+GPU_LOCAL_BYTES = 48 << 10
 
 # PoCL ends a device's version by the CPU that its LLVM compiles for; these lack AVX-512. LLVM 14 takes
 # newer AMD CPUs for one; PoCL 3.0 claims vectors of 64 bytes all the same, and aborts over them.

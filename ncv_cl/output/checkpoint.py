@@ -21,7 +21,7 @@ from ..host.files import (
 from ..learning.density import DensityNetwork
 from ..network.network import Network
 from ..sampling.accumulate import Estimate
-from ..sampling.guide import CELLS, Guide
+from ..sampling.guide import GUIDE_CELLS, Guide
 from ..sampling.warp import DENSITY_WORDS
 
 # What of a checkpoint is kept as JSON.
@@ -124,8 +124,8 @@ class Checkpoint:
             density = DensityNetwork.of_arrays(arrays, network.description)
         guide = None
         if "guide_means" in arrays:
-            densities = array_of(arrays, "guide_densities", np.uint32, (CELLS, DENSITY_WORDS))
-            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (CELLS, 3)))
+            densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
+            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3)))
         points = (ANY, ANY)
         return cls(
             about["identity"],

@@ -134,7 +134,7 @@ class Settings:
         return integrand.nested and integrand.guided and self.preset.density
 
     def training_points(
-        self, active: int, samples_a_point: int, auto_samples: int
+        self, active: int, samples_a_point: int, auto_spp: float
     ) -> tuple[np.ndarray, int]:
         """Which of `active` points get training samples, uint32, and how many each.
 
@@ -142,12 +142,12 @@ class Settings:
         ----------
         samples_a_point : int
             Where fewer are asked for on average, so many are drawn at fewer points.
-        auto_samples : int
-            Samples in all for `train_spp` "auto".
+        auto_spp : float
+            Samples a point on average for `train_spp` "auto".
         """
         spp = self.training.train_spp
         if spp == "auto":
-            spp = min(auto_samples / active, max(self.spp / 4, 1.0))
+            spp = auto_spp
         if not self.preset.subset or spp >= samples_a_point:
             return np.arange(active, dtype=np.uint32), max(1, round(spp))
         count = min(active, max(1, round(active * spp / samples_a_point)))
