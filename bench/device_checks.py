@@ -91,6 +91,7 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"widths": (2, 6, 9, 3), "precision": "float32"}),
     ("subdivision", "test_subdivide", "test_affine_functions_are_the_network",
      {"widths": (2, 6, 2)}),
+    ("probe", "test_probe", "test_chains_of_multiply_adds_match_float64", {}),
     ("other integrands", "test_callable", "test_channels_and_signs", {}),
 )  # fmt: skip
 

@@ -23,7 +23,7 @@ def test_spheres_have_as_many_triangles_as_named(number):
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's marks of memory")
 def test_memory_of_a_stage_does_not_count_for_the_next():
-    from ncv_cl.settings.settings import Stopwatch
+    from ncv_cl.host.clock import Stopwatch
 
     watch, marks = Stopwatch(), bench_scaling.HighWater()
     with marks.watching():

@@ -45,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser, group: type[Any]) -> None:
         elif _reader(hint) is not None:
             choices = choices_of(hint)
             plain = bool(choices) and float not in typing.get_args(hint)
-            form: dict[str, Any] = {"choices": choices} if plain else {
-                "type": _reader(hint), "metavar": "FILE" if str in typing.get_args(hint) else "N"
-            }  # fmt: skip
+            form: dict[str, Any] = {"type": _reader(hint), "metavar": _metavar(hint)}
+            if plain:
+                form = {"choices": choices}
             own.add_argument(flag, default=option.default, **form, **about)
 
 
@@ -66,6 +66,12 @@ def _reader(hint: object) -> Callable[[str], object] | None:
     if choices or str in kinds or Path in kinds:
         return str
     return next((kind for kind in (int, float) if kind in kinds), None)
+
+
+def _metavar(hint: object) -> str:
+    if hint is str:
+        return "NAME"
+    return "FILE" if str in typing.get_args(hint) else "N"
 
 
 def _number(text: str, choices: tuple[str, ...]) -> float:

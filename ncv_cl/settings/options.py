@@ -80,7 +80,7 @@ class Training:
         well. Control coefficients belong to the image they were found for, and are 1 here.
     """
 
-    preset: Literal["default", "wide", "slides"] = "default"
+    preset: str = "default"
     train_spp: float | Literal["auto"] = "auto"
     density: Literal["table", "subdivision", "none"] | None = None
     network: Network | str | Path | None = None
