@@ -1,15 +1,16 @@
 /* The arrangement of lines in a convex cell, as half-edges (de Berg et al., Computational Geometry, ch. 8).
  *
  * A cell is a convex polygon. Lines are inserted one after the other. Each line is evaluated once at all
- * vertices (`side`); from there on only the stored signs speak: zero counts as positive, a half-edge is
- * crossed when its two ends lie on different sides. Every line that enters a face therefore leaves it, each
- * insertion splits faces by chords, and the result is a planar subdivision whatever the rounding.
+ * vertices (`side`); from there on only the stored signs decide: zero counts as positive, a half-edge is
+ * crossed if its two ends lie on different sides. Every line that enters a face therefore leaves it,
+ * each insertion splits faces by chords, and the result is a planar subdivision whatever the rounding.
  *
- * That alone does not make it the right subdivision. Where lines meet in a corner of the cell, the ends of
- * earlier lines lie within rounding of the new one, and noise in their signs would lead a walk out of the cell
- * beside its own corner. So a value within LINE_ROUNDING of zero is zero; a line's signs must change twice round
- * the cell's corners or not at all; it must leave through the side whose corners differ; and it may cross each
- * earlier line once. A line that does not makes the arrangement `failed`, and the point is done on another path.
+ * It may still be a wrong subdivision. Where lines meet in a corner of the cell, the ends of earlier
+ * lines lie within rounding of the new one, and a wrong sign would lead the walk out of the cell beside
+ * its own corner. So a value within LINE_ROUNDING of zero is zero. And every line is checked: its signs
+ * must change twice round the cell's corners or not at all; it must leave through the side whose corners
+ * differ; and it may cross each earlier line once. A line that fails a check makes the arrangement
+ * `failed`, and the point is done again in another way.
  *
  * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is the
  * same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no half-edges
@@ -19,14 +20,13 @@
  * `tag` holds the layer whose line the edge lies on (0: border of the unit square). Each face has exactly one
  * half-edge with the flag REPRESENTATIVE, listed in `face`.
  *
- * Where all points share the lines' directions, their determinants, two by two, could be kept, which leaves a
- * multiplication in leader_place_vertex where it now divides. Tried with multiplications in the division's
- * place, insertion took 25.4 ns a face, not 26.6 (32 lines, one core): one hundredth of a point's time, as the
- * division does not hold up the walk. The order of the directions is of no use to a walk either.
+ * Tried and dropped: where all points share the lines' directions, the determinants of pairs of them
+ * could be kept, and leader_place_vertex would multiply where it now divides. Insertion then took 25.4
+ * ns a face, not 26.6 (32 lines, one core), which is one hundredth of a point's time.
  *
- * Constants. MAX_VERTICES, MAX_HALF_EDGES, MAX_FACES: exact bounds from the host (arrangement.py), the largest of
- * all arrangements. Whoever appends looks at them all the same.
- * SPACE: where a Dcel lies (__local on GPUs if it fits, else __global).
+ * Constants. MAX_VERTICES, MAX_HALF_EDGES, MAX_FACES: exact bounds from the host (arrangement.py), the
+ * largest of all arrangements. They are checked at every append all the same. SPACE: where a Dcel lies
+ * (__local on GPUs if it fits, else __global).
  *
  * Work-group contract: LANES work-items share one Dcel. `add_lines` is called by all of them and holds
  * barriers under uniform conditions; functions named leader_* are for lane 0 alone, between barriers.

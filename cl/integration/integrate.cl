@@ -9,10 +9,10 @@
  * relu(z) has a closed form in the values at the three vertices (triangle_integral).
  * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
  *
- * Certification (integrate_check.cl). Every line must walk as a line does, the absolute areas of all triangles
- * must sum to 1, the subdivision's own error and the rounding must be small, and G finite. Points that fail are
- * appended to `retry`: in single precision the same kernel does them again in double (-D SINGLE_ARRAYS, -D LISTED),
- * then integrate_robust.
+ * Certification (integrate_check.cl). Every line must pass the checks of dcel.cl, the absolute areas of
+ * all triangles must sum to 1, the subdivision's error and the rounding must be small, and G must be
+ * finite. Points that fail are appended to `retry`: in single precision the same kernel does them again
+ * in double (-D SINGLE_ARRAYS, -D LISTED), then integrate_robust.
  *
  * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group. Network
  * parameters are row-major (n_out, n_in), with a leading points axis where -D PER_POINT_WEIGHTS_k or

@@ -1,4 +1,4 @@
-/* What makes a point's integral trustworthy: a certificate for the subdivision, and one for the rounding.
+/* Certification of a point's integral: one test of the subdivision, and one of the rounding.
  *
  * Subdivision. relu is convex. Where a face is cut too little, a neuron that changes sign in it is taken to be
  * linear between the face's vertices (decoupled, last arrangement), or to have one sign (elsewhere). The first

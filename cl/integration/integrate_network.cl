@@ -1,4 +1,4 @@
-/* What a work-group keeps while it integrates a network, and how the network's parameters get there.
+/* The memory of a work-group while it integrates a network, and how the network's parameters get there.
  *
  * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on GPUs
  * if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes share out.

@@ -1,10 +1,10 @@
 /* The robust path: the same integrals for the few points whose arrangement was not certified in any precision.
  *
- * No shared topology, so nothing can go wrong with it: a stack of convex polygons, each cut by one line after the
- * other (Sutherland and Hodgman 1974). Both parts of a cut share its two new corners, hence the areas always add
- * up. A line that comes closer than rounding to leaving a polygon on one side does not cut it. Everything is done in
- * double precision where the device has it (-D ROBUST_DOUBLE), else in float. Many times slower than the arrangement,
- * and its result does not depend on the method.
+ * There is no shared topology that rounding could break: only a stack of convex polygons, each cut by
+ * one line after the other (Sutherland and Hodgman 1974). Both parts of a cut have its two new corners,
+ * so areas always add up. A line that comes closer than rounding to leaving a polygon on one side does
+ * not cut it. Everything is done in double precision where the device has it (-D ROBUST_DOUBLE), else in
+ * float. Many times slower than the arrangement, and its result does not depend on the method.
  *
  * A polygon on the stack knows the layer and the neuron whose line cuts it next. Lines of a layer are valid for all
  * polygons on the stack that still need them, since the traversal is depth first. After the last hidden layer but one

@@ -6,12 +6,12 @@
  * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
  * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
  *
- * Which groups and entries, and the step sizes, stand in the step's rows of `plan` and `rates`, of which the
- * global offset tells the number (Kernel.repeat).
+ * The step's rows of `plan` and `rates` hold the groups, entries and step sizes. The global offset tells
+ * which rows these are (Kernel.repeat).
  *
- * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then with TABLE_ADAM both of
- * Adam's moments of each, else the second moment that they share, and what share of that moment the gradients so
- * far make up.
+ * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values. Then with
+ * TABLE_ADAM both of Adam's moments of each value; else one second moment for all of them, and the sum
+ * of the weights that the moving average has given to gradients so far.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */

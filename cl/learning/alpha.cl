@@ -1,4 +1,4 @@
-/* The control coefficient alpha: how f and g vary together over the training samples of each column.
+/* The control coefficient alpha: covariance of f and g over the training samples of each column.
  *
  * Memory layout: samples as in train.cl: number s of column i is u, v [s * stride + i], and f in plane
  * s * CHANNELS + c of `all_targets`. `moments` has a plane of `stride` floats for each channel's sum over the

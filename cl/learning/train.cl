@@ -1,11 +1,12 @@
 /* Training: loss gradients of a minibatch, reduced in a fixed order.
  *
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
- * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
- * of `all_targets`. These three stand in the step's row of `plan`, PLAN_WORDS words of which the global offset
- * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied by;
- * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
- * column and channel, is the factor over its mean to a power that the host chose.
+ * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS +
+ * c of `all_targets`. These three numbers are in the step's row of `plan`, of PLAN_WORDS words. The
+ * global offset tells which row that is (Kernel.repeat). `factor` (a plane a channel, by column) is what
+ * the network's output is multiplied by; the loss is the mean over samples and channels of weight^2 (g -
+ * f / factor)^2, where weight, also by column and channel, is the factor over its mean to a power that
+ * the host chose.
  *
  * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
  * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
@@ -13,12 +14,12 @@
  * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
  * a column, column after column, level after level.
  *
- * A group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a column: all weights but
- * W2), samples forward and backward, and rows of the gradient by theta stay in local memory, row after row
- * of TILE floats. Heads are paid once a column, not once a sample. Each work-item works on VEC columns; after a
- * barrier each computes some of the parameters' gradients as sums over the tile. Every group owns one row of
- * `partial`, and adam.cl adds the rows in order: no atomics, the same bits every time. The first IDLE_GROUPS
- * groups do nothing.
+ * A group takes a tile of TILE columns at a time. Local memory holds, as rows of TILE floats: theta (a
+ * column's weights but W2, which the heads give), the activations of samples forward and backward, and
+ * the gradient by theta. Heads are evaluated once a column, not once a sample. Each work-item works on
+ * VEC columns; after a barrier each computes some of the parameters' gradients as sums over the tile.
+ * Every group owns one row of `partial`, and adam.cl adds the rows in order: no atomics, the same bits
+ * every time. The first IDLE_GROUPS groups do nothing (train.py says why).
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
  * barriers between the phases of the tile loop, whose bounds are the same for the whole group. store_samples:
@@ -28,10 +29,10 @@
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
 #define TILE_BLOCKS (TILE / VEC)
 #define FEATURE_BLOCKS (FEATURE_FLOATS / VEC)
-/* Rows of theta that one pass over the features computes, so that a loaded feature serves several. */
+/* Rows of theta that are computed together, so that one load of a feature serves all of them. */
 #define ROW_BLOCK (HEAD_ROWS < 8 ? 1 : 8)
-/* Rows of theta and vectors of features that one pass over a tile's columns computes gradients of: as many sums
- * as registers hold, from few loads. On a GPU the work-items share the vectors. */
+/* Rows of theta and vectors of features whose gradients are computed together over a tile's columns: as
+ * many sums as registers hold, from few loads. On a GPU the work-items share the vectors. */
 #if LANES > 1
 #define GRADIENT_ROWS ROW_BLOCK
 #define BLOCKS_AT_ONCE 1
@@ -49,7 +50,7 @@
 #define BLOCKS_AT_ONCE 1
 #endif
 #endif
-/* Features that one pass over the rows of theta computes gradients of. */
+/* Features whose gradients are computed together over the rows of theta. */
 #define GRID_BLOCK (GRID_ROWS < 8 ? GRID_ROWS : 8)
 
 /* theta rows of VEC columns: heads times features, and plain bases. */

@@ -145,7 +145,8 @@ void grid_features(const real unit[3], global const float *restrict table, const
   }
 }
 
-/* What never changes, so that once per image is enough: `unit` and the rows after the grid's. */
+/* What does not change in training, and is computed once an image: `unit` and the rows after the
+ * grid's. */
 kernel void encode_fixed(const uint count, const uint stride, const uint total_points,
                          const float lower_x, const float lower_y, const float lower_z,
                          const float inverse_side, global const uint *restrict order,

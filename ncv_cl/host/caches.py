@@ -49,8 +49,7 @@ def _prepare_pyopencls() -> None:
 
 
 def _prepare_pocls() -> None:
-    """PoCL offers no device where it cannot write: give it a folder that lasts as long as the
-    process."""
+    """PoCL offers no device where it cannot write: give it a folder until the process ends."""
     named = os.environ.get(_POCLS_VARIABLE)
     folder = Path(named) if named else cache_folder("pocl")
     if _writable(folder):
