@@ -9,7 +9,7 @@
  * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean over the square of the radiance that arrives
  * there from other surfaces. Roulette adds it in place of the path that it ends (paths.cl).
  *
- * Joined after warp.cl, whose warp_row applies one row of a record to a coordinate.
+ * Joined after warp.cl, whose warp_axis applies one row of a record to a coordinate.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */

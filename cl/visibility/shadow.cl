@@ -1,16 +1,17 @@
 /* Shadow rays of a scene of few triangles: each is tested against all of them, VEC rays at a time.
  *
- * Rays from anywhere to anywhere have no shaft in common (shaft.cl), but where a scene has few triangles, testing
- * them all costs less than handing a ray to the host and waiting for its answer.
+ * Shadow rays of paths start anywhere, so no occluder list (shaft.cl) serves several of them. But if a
+ * scene has few triangles, testing them all costs less than handing a ray to the host and waiting for
+ * its answer.
  *
  * The test, in Pluecker coordinates. A line through o along d passes an edge from a to b on the side that the sign of
  * d . (a x b) + (o x d) . (b - a) tells. The three signs of a triangle are alike where the line passes through it, and
  * it is met between o and o + d if these lie on two sides of its plane. An edge's numbers are those of its
  * reverse with their signs turned, bit for bit, so no ray slips through an edge between neighbours.
  *
- * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats: 0 unit
- * normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken about the centre, so
- * that nothing is lost to a scene's place in the world.
+ * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats:
+ * 0 unit normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken
+ * about the centre, so that precision does not depend on where the scene lies.
  *
  * Work-group contract: none; a pure function of private values and of `casters`, which all work-items read alike.
  */
@@ -31,7 +32,7 @@ whole reaches_light(global const float *restrict casters, const triple origin, c
     global const float *restrict record = casters + CENTRE_FLOATS + k * CASTER_FLOATS;
     const real height = dot_record(record, start) - record[3];
     const whole crosses = open && ((height > 0.0f) != (height + dot_record(record, segment) > 0.0f));
-    /* Of a room's walls no ray between two of its points crosses any. */
+    /* A ray between two points of a room crosses no wall's plane: most triangles end here. */
     if (!ANY(crosses)) continue;
     const real side_0 = dot_record(record + 7, segment) + dot_record(record + 4, moment);
     const real side_1 = dot_record(record + 13, segment) + dot_record(record + 10, moment);

@@ -194,11 +194,11 @@ class Trainer:
             self._target,
         )
 
-    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
-        """Train all epochs on the stored samples, as one of `rounds` such calls; returns the mean loss.
+    def fit(self, parts: int = 1, check: Callable[[], None] | None = None) -> float:
+        """Train all epochs on the stored samples, as one of `parts` such calls; returns the mean loss.
 
-        The loss is the mean over the steps of the last epoch. `check` is called now and then, and may
-        raise.
+        The loss is the last minibatch's, averaged over the last epoch. `check` is called now and then,
+        and may raise.
         """
         if not self._has_factors:
             self._set_common_factor()
@@ -207,7 +207,7 @@ class Trainer:
         starts = range(0, self.samples - step + 1, step)
         numbers = range(len(self._batches))
         order = [(sample, n) for _ in range(settings.epochs) for sample in starts for n in numbers]
-        self._bind(*self._plan(order, rounds * len(order)))
+        self._bind(*self._plan(order, parts * len(order)))
         losses = []
         for number, (_, batch) in enumerate(order):
             self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)

@@ -17,7 +17,7 @@ from ..scene.load import Scene
 from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
 from .warp import Warp
 
-# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
+# Slots of samples without a ray: their value is zero, or they are known to see the light.
 NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -37,7 +37,7 @@ def ray_defines() -> dict[str, str]:
 
 @dataclass
 class RayCount:
-    """How many rays were traced, how many were not worth tracing, and seconds.
+    """How many rays were traced, how many samples needed none, and seconds.
 
     Attributes
     ----------
@@ -151,7 +151,8 @@ class SampleSource(Batches):
     samples_per_point : int
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
-        What decides visibility where it is known; by default embree decides all.
+        The points' occluder lists; shadow rays of points without a complete one are traced. By default
+        all are traced.
     """
 
     def __init__(
