@@ -1,10 +1,10 @@
 /* Guided bounces: for every part of the scene a density of directions from which light arrives, learned
  * in training.
  *
- * The scene's bounding box is cut into GUIDE_SIDE^3 boxes with six directions of normals each. Each box
- * and direction is a cell. A cell has one density of the unit square (a record of warp.cl in `guide`),
- * by which the coordinates of a matte surface's next direction are warped. guide_frame: six floats, the
- * box's lower corner and one over the extent of its cells.
+ * The scene's bounding box is cut into GUIDE_SIDE^3 boxes with six directions of normals each. Each of these
+ * cells has one density of the unit square (a record of warp.cl in `guide`), by which the coordinates of a
+ * matte surface's next direction are warped. guide_frame: six floats, the box's lower corner and one over
+ * the extent of its cells.
  *
  * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean over the square of the radiance that arrives
  * there from other surfaces. Roulette adds it in place of the path that it ends (paths.cl).

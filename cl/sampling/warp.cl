@@ -5,11 +5,11 @@
  * points which are well spread over the square stay well spread under the density (Pharr, Jakob and Humphreys,
  * Physically Based Rendering, section 13.3).
  *
- * Memory layout: a row is two words. Its eight bins have seven inner edges, cumulative probabilities in
- * units of 1 / EDGE_UNITS, strictly rising: edges 1 to 4 are the bytes of the first word, lowest first,
- * 5 to 7 those of the second. So few digits cost nothing: the density is defined by the edges, so its
- * integral is exactly 1. Multiples of 1 / 256 suit Sobol points, since of 256 of them each such interval
- * has one. And records stay in the cache.
+ * Memory layout: a row is two words. Its eight bins have seven inner edges, cumulative probabilities in units of
+ * 1 / EDGE_UNITS, strictly rising: edges 1 to 4 are the bytes of the first word, lowest first, 5 to 7 those of the
+ * second. Nothing is lost by so few digits: the density is what the edges say, exactly, its integral 1 exactly;
+ * edges on multiples of 1 / 256 suit Sobol points, of which 256 have one in each such interval; and records stay in
+ * the cache.
  *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */

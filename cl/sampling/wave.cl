@@ -4,8 +4,7 @@
  *   0 origin (3), 3 direction (3) of the rays that go on, 6 origin (3), 9 direction (3) of shadow rays, as the host
  *   reads them; 12 triangle hit (int, -1: none), 13 and 14 barycentric u and v, 15 distance in multiples of the
  *   direction, 16 whether the shadow ray reached its light (bytes), as the host writes them; 17 throughput (3),
- * 20 density of the direction, for the MIS weight of a light that the ray hits (0: shadow rays alone
- * sample it), 21 path; 22 throughput (3) and
+ *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path; 22 throughput (3) and
  *   25 path of shadow rays.
  * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
  * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs.

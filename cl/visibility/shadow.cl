@@ -9,9 +9,9 @@
  * it is met between o and o + d if these lie on two sides of its plane. An edge's numbers are those of its
  * reverse with their signs turned, bit for bit, so no ray slips through an edge between neighbours.
  *
- * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats:
- * 0 unit normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken
- * about the centre, so that precision does not depend on where the scene lies.
+ * `casters`: a centre (CENTRE_FLOATS floats, three used), then CASTERS records of CASTER_FLOATS floats: 0 unit
+ * normal, 3 distance of the plane from the centre, then for each edge 0 b - a, 3 a x b, taken about the centre, so
+ * that nothing is lost to a scene's place in the world.
  *
  * Work-group contract: none; a pure function of private values and of `casters`, which all work-items read alike.
  */
@@ -32,7 +32,7 @@ whole reaches_light(global const float *restrict casters, const triple origin, c
     global const float *restrict record = casters + CENTRE_FLOATS + k * CASTER_FLOATS;
     const real height = dot_record(record, start) - record[3];
     const whole crosses = open && ((height > 0.0f) != (height + dot_record(record, segment) > 0.0f));
-    /* A ray between two points of a room crosses no wall's plane: most triangles end here. */
+    /* Of a room's walls no ray between two of its points crosses any. */
     if (!ANY(crosses)) continue;
     const real side_0 = dot_record(record + 7, segment) + dot_record(record + 4, moment);
     const real side_1 = dot_record(record + 13, segment) + dot_record(record + 10, moment);

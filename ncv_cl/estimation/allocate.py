@@ -129,7 +129,7 @@ def allocate(
     fewest = min(fewest, 1 << (average.bit_length() - 1))
     most = 1 << min((LARGEST_SHARE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
     with np.errstate(divide="ignore"):
-        # The logarithm of zero is minus infinity: such a point gets the fewest.
+        # Of zero: minus infinity, which gets the fewest.
         wanted = power * np.log2(np.asarray(magnitude, np.float64))
     if not np.isfinite(wanted).any():
         return np.full(len(wanted), average, np.int64)

@@ -99,9 +99,8 @@ def pays(
 
     Notes
     -----
-    The variance V is assumed to fall as a power of the number of training samples. The power comes from
-    the last two rounds, so after the first one there is always a second. The number of samples that the
-    estimate needs is assumed to go as V to the power GAIN.
+    The variance V is taken to fall as a power of the training samples, the one seen over the last two
+    rounds, so the first one does not decide. The estimate needs samples as V to the power GAIN.
     """
     used, variance = found[-1]
     if variance <= 0.0 or len(found) < 2:

@@ -66,7 +66,7 @@ class DensitySettings:
     uniform_share: float = 0.1
 
     def parameter_count(self, features: int) -> int:
-        """How many parameters the network has: hidden units, then a row and a bias for each cell."""
+        """Numbers of the network: hidden units, then a row and a bias for each cell."""
         return (features + 1 + CELLS) * self.hidden + CELLS
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:

@@ -268,7 +268,7 @@ class Trainer:
             rate * settings.table_rate,
             1.0 / (1.0 - settings.beta1**step),
             1.0 / (1.0 - settings.beta2**step),
-            # The average's memory is short at first, so that it forgets the random start.
+            # A short memory at first, or the average would remember the random start.
             np.minimum(settings.average_decay, (1 + step) / (10 + step)),
         )
         device = self.device

@@ -15,7 +15,7 @@ from ..points.points import INPUTS, ShadingPoints, surface_defines
 # Shading points that extend over less than this part of the scene have a grid of their own; the part of
 # them that may lie outside it, to each side.
 SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
-# Limits of the kernels: features in one vector, and indices of 32 bits.
+# What the kernels can hold: vectors of so many features, indices of 32 bits.
 ENTRY_FEATURES = (1, 2, 4, 8, 16)
 MOST_CELLS = 1 << 30
 MOST_TABLE_FLOATS = 1 << 28

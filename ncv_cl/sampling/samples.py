@@ -151,8 +151,7 @@ class SampleSource(Batches):
     samples_per_point : int
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
-        The points' occluder lists; shadow rays of points without a complete one are traced. By default
-        all are traced.
+        What decides visibility where it is known; by default embree decides all.
     """
 
     def __init__(
