@@ -1,4 +1,4 @@
-/* The arrangement of lines in a convex cell, as half-edges (de Berg et al., Computational Geometry, ch. 8).
+/* Arrangement of lines in a convex cell, as half-edges (de Berg et al., Computational Geometry, ch. 8).
  *
  * A cell is a convex polygon. Lines are inserted one after the other. Each line is evaluated once at all
  * vertices (`side`); from there on only the stored signs decide: zero counts as positive, a half-edge is
@@ -12,13 +12,13 @@
  * differ; and it may cross each earlier line once. A line that fails a check makes the arrangement
  * `failed`, and the point is done again in another way.
  *
- * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is the
- * same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no half-edges
- * outside the cell). A half-edge keeps its origin for ever: splitting it shortens it, and what is cut off
- * becomes a new half-edge. So nobody's `next` has to be searched for, `prev` is not needed, and half-edge i
- * always starts at corner i of the cell. Vertices lie as structure of arrays, padded to whole vectors.
- * `tag` holds the layer whose line the edge lies on (0: border of the unit square). Each face has exactly one
- * half-edge with the flag REPRESENTATIVE, listed in `face`.
+ * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is
+ * the same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no
+ * half-edges outside the cell). A half-edge keeps its origin for ever: splitting it shortens it, and
+ * what is cut off becomes a new half-edge. So nobody's `next` has to be searched for, `prev` is not
+ * needed, and half-edge i always starts at corner i of the cell. Vertices lie as structure of arrays,
+ * padded to whole vectors. `tag` holds the layer whose line the edge lies on (0: border of the unit
+ * square). Each face has exactly one half-edge with the flag REPRESENTATIVE, listed in `face`.
  *
  * Tried and dropped: where all points share the lines' directions, the determinants of pairs of them
  * could be kept, and leader_place_vertex would multiply where it now divides. Insertion then took 25.4
@@ -38,8 +38,8 @@
 #define REPRESENTATIVE 0x8000
 #define TAG_MASK 0x7fff
 
-/* What a x + b y + c can be off by at a vertex that lies on the line, over the sum of its terms' magnitudes: its
- * own rounding and the vertex's. */
+/* What a x + b y + c can be off by at a vertex that lies on the line, over the sum of its terms'
+ * magnitudes: its own rounding and the vertex's. */
 #if DOUBLE
 #define LINE_ROUNDING (2 * DBL_EPSILON)
 #else
@@ -68,7 +68,8 @@ typedef struct {
   int failed; /* sticky: a line did not walk as a line does, the point must be done again */
 } __attribute__((aligned(64))) Dcel;
 
-/* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole vectors. */
+/* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole
+ * vectors. */
 typedef struct {
   number a[LINE_STRIDE] __attribute__((aligned(64)));
   number b[LINE_STRIDE] __attribute__((aligned(64)));
@@ -101,9 +102,9 @@ void leader_begin_unit_square(SPACE Dcel *d) {
   leader_begin_cell(d, 4);
 }
 
-/* A vertex where the current line crosses the edge between two vertices on different sides. It is reached
- * from the end that is nearer to the line: the step is then at most half the edge, and a vertex close to
- * one end keeps its relative distance from it. */
+/* A vertex where the current line crosses the edge between two vertices on different sides. It is
+ * reached from the end that is nearer to the line: the step is then at most half the edge, and a vertex
+ * close to one end keeps its relative distance from it. */
 void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const int to) {
   const int near = fabs(d->side[from]) <= fabs(d->side[to]) ? from : to;
   const int far = near == from ? to : from;
@@ -115,7 +116,8 @@ void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const 
 
 bool leader_below(SPACE const Dcel *d, const int vertex) { return d->side[vertex] < 0; }
 
-/* Where a line enters and leaves the cell: the half-edge on its border that is crossed, or -1, and the side. */
+/* Where a line enters and leaves the cell: the half-edge on its border that is crossed, or -1, and the
+ * side. */
 typedef struct {
   int half_edge;
   int leaving_side;
@@ -123,7 +125,8 @@ typedef struct {
 
 Passage leader_find_passage(SPACE Dcel *d) {
   Passage passage = {-1, -1};
-  /* Sides of the cell with corners on different sides of the line: the first, the second, and no more. */
+  /* Sides of the cell with corners on different sides of the line: the first, the second, and no
+   * more. */
   int side = 0;
   const bool below = leader_below(d, 0);
   while (side + 1 < d->corners && leader_below(d, side + 1) == below) ++side;
@@ -161,7 +164,8 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
   int edges = d->edges;
   int faces = d->faces;
 
-  /* The line stands at vertex `from` on the boundary of a face, between half-edges `behind` and `ahead`. */
+  /* The line stands at vertex `from` on the boundary of a face, between half-edges `behind` and
+   * `ahead`. */
   int from = vertices++;
   int ahead = edges++;
   int ahead_next = d->edge[behind].next;

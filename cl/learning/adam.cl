@@ -1,10 +1,11 @@
 /* Adam: one step of a network's parameters and of the hash grid's entries that a minibatch touched.
  *
- * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015, algorithm
- * 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in order. Each further
- * work-item updates VEC table entries. It gathers their gradients from an inverted index: pairs starts[i] ..
- * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
- * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
+ * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015,
+ * algorithm 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in
+ * order. Each further work-item updates VEC table entries. It gathers their gradients from an inverted
+ * index: pairs starts[i] .. starts[i + 1] of the index belong to item i, entry entries[i]; each is a
+ * place in `grid_gradient` and a weight. No atomics, so the same bits every time. Entries that a
+ * minibatch does not touch stay as they are.
  *
  * The step's rows of `plan` and `rates` hold the groups, entries and step sizes. The global offset tells
  * which rows these are (Kernel.repeat).
@@ -18,7 +19,8 @@
 
 #define AT_MOMENT GRID_FEATURES
 
-/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
+/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are
+ * slow. */
 #define TINY 1e-30f
 
 /* An entry's gradient by the index's item. */
@@ -30,8 +32,9 @@ entry_features gather_gradient(const uint item, global const uint *restrict star
 }
 
 #if TABLE_ADAM
-/* Table entries number first .. first + VEC of the index, those before `end`, as the network's parameters are
- * updated. The corrections in the step's `rates` are right for entries that every minibatch touches. */
+/* Table entries number first .. first + VEC of the index, those before `end`, as the network's
+ * parameters are updated. The corrections in the step's `rates` are right for entries that every
+ * minibatch touches. */
 void update_entries(global const float *restrict rates, const uint first, const uint end,
                     global const uint *restrict entries, global const uint *restrict starts,
                     global const uint *restrict places, global const float *restrict weights,
@@ -50,9 +53,9 @@ void update_entries(global const float *restrict rates, const uint first, const 
   }
 }
 #else
-/* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second moment for
- * all its features and no first one: entries are touched too rarely for momentum. The share of the present
- * gradients in the moving average corrects its start from zero, entry by entry. */
+/* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second
+ * moment for all its features and no first one: entries are touched too rarely for momentum. The share
+ * of the present gradients in the moving average corrects its start from zero, entry by entry. */
 void update_entries(global const float *restrict rates, const uint first, const uint end,
                     global const uint *restrict entries, global const uint *restrict starts,
                     global const uint *restrict places, global const float *restrict weights,

@@ -8,11 +8,11 @@
  * f / factor)^2, where weight, also by column and channel, is the factor over its mean to a power that
  * the host chose.
  *
- * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
- * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
- * floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only the grid's entries
- * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
- * a column, column after column, level after level.
+ * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2
+ * rows of W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1),
+ * BASE_ROWS floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only
+ * the grid's entries that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner`
+ * names the entries around a column, column after column, level after level.
  *
  * A group takes a tile of TILE columns at a time. Local memory holds, as rows of TILE floats: theta (a
  * column's weights but W2, which the heads give), the activations of samples forward and backward, and
@@ -22,8 +22,8 @@
  * every time. The first IDLE_GROUPS groups do nothing (train.py says why).
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
- * barriers between the phases of the tile loop, whose bounds are the same for the whole group. store_samples:
- * any size, no local memory, no barriers.
+ * barriers between the phases of the tile loop, whose bounds are the same for the whole group.
+ * store_samples: any size, no local memory, no barriers.
  */
 
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
@@ -95,7 +95,8 @@ void heads_backward(global const float *restrict parameters, local const real *r
 }
 
 /* One sample of VEC columns, forward and backward: adds to delta_theta, leaves h1 and delta2 for W2's
- * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the sample. */
+ * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the
+ * sample. */
 real sample_gradient(const real u, const real v, const real target[CHANNELS], const real weight[CHANNELS],
                      global const float *restrict w2, local const real *restrict theta,
                      local real *restrict delta_theta, local real *restrict h1_rows,
@@ -174,8 +175,8 @@ real load_columns(global const float *restrict row, const uint column, const uin
   return LOAD(padded);
 }
 
-/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the present
- * table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
+/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the
+ * present table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
 void load_features(const uint column, const uint end, const uint stride, global const float *restrict unit,
                    global const float *restrict fixed_rows, global const uint *restrict corner,
                    global const float *restrict table, local float *restrict rows,
