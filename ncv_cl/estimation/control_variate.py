@@ -33,7 +33,7 @@ class ControlVariate:
         float32 (channels, points), G of each active point.
     density : Density, optional
         Where in the square the residual is large, and its mean: sampling density and magnitude.
-    learned : DensityNetwork, optional
+    density_network : DensityNetwork, optional
         The network that predicts `density`.
     alpha : ndarray, optional
         float32 (channels, points), the control coefficients that are folded in; None: 1 everywhere.
@@ -42,7 +42,7 @@ class ControlVariate:
     folded: FoldedNetwork
     integral: np.ndarray
     density: Density | None
-    learned: DensityNetwork | None
+    density_network: DensityNetwork | None
     alpha: np.ndarray | None = None
 
 
@@ -53,7 +53,7 @@ class Trained:
     Attributes
     ----------
     network : Network
-    density : DensityNetwork, optional
+    density_network : DensityNetwork, optional
         The network that predicts its residual's magnitude; None: learned from `samples`, if there are
         any.
     alpha : ndarray, optional
@@ -63,7 +63,7 @@ class Trained:
     """
 
     network: Network
-    density: DensityNetwork | None = None
+    density_network: DensityNetwork | None = None
     alpha: np.ndarray | None = None
     samples: TrainingSamples | None = None
 
@@ -109,21 +109,21 @@ def _made(
         if alpha is not None:
             scale(folded, alpha)
     run.clock.check()
-    learned, density = trained.density, None
+    density_network, density = trained.density_network, None
     if settings.needs_magnitude:
         with run.watch("density"):
             unit = problem.means.read().mean(axis=0) if problem.demodulated else None
-            if samples is not None and learned is None:
-                learned = _learned_density(problem, run, folded, samples, unit)
-            if learned is not None:
-                density = tabulate(problem.device, learned, network, points, unit)
-    save(network, learned.arrays() if learned is not None else {})
+            if samples is not None and density_network is None:
+                density_network = _density_network(problem, run, folded, samples, unit)
+            if density_network is not None:
+                density = tabulate(problem.device, density_network, network, points, unit)
+    save(network, density_network.arrays() if density_network is not None else {})
     with run.watch("integrate"):
         integral = integrals_of(problem.device, folded, points.active)
-    return ControlVariate(folded, integral, density, learned, alpha)
+    return ControlVariate(folded, integral, density, density_network, alpha)
 
 
-def _learned_density(
+def _density_network(
     problem: Problem, run: Run, folded: FoldedNetwork, samples: TrainingSamples, unit: np.ndarray | None
 ) -> DensityNetwork:
     """Train a network for the residual's magnitude, in units of `unit`, on the training samples."""

@@ -48,8 +48,8 @@ class Checkpoint:
         Each accumulator's state and its points' numbers of samples.
     before : Estimate, optional
         Of f, from the training samples or the pilot.
-    network, density : optional
-        The control variate and its density.
+    network, density_network : optional
+        The control variate's network, and the one of its density.
     alpha : ndarray, optional
         The control variate's coefficients.
     parts : list of ndarray
@@ -64,7 +64,7 @@ class Checkpoint:
     states: list[tuple[np.ndarray, np.ndarray]]
     before: Estimate | None
     network: Network | None
-    density: DensityNetwork | None
+    density_network: DensityNetwork | None
     alpha: np.ndarray | None
     parts: list[np.ndarray]
     guide: Guide | None
@@ -95,7 +95,7 @@ class Checkpoint:
         if self.network is None:
             write_whole(path, lambda file: np.savez(file, **arrays))
             return
-        arrays |= self.density.arrays() if self.density is not None else {}
+        arrays |= self.density_network.arrays() if self.density_network is not None else {}
         write_whole(path, lambda file: self.network.write(file, **arrays))
 
     @classmethod
@@ -157,7 +157,7 @@ class Checkpoint:
         for name, array in alike.items():
             if array is not None and array.shape != expected:
                 raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
-        if self.method == "ncv" and with_density and self.density is None:
+        if self.method == "ncv" and with_density and self.density_network is None:
             raise CheckpointError("the checkpoint lacks the density of its network")
 
     def check(self, identity: dict[str, object]) -> None:

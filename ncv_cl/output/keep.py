@@ -67,7 +67,7 @@ class Keep:
             states=image_estimate.states(),
             before=before,
             network=variate.folded.network if variate else None,
-            density=variate.learned if variate else None,
+            density_network=variate.density_network if variate else None,
             alpha=variate.alpha if variate else None,
             parts=image_estimate.parts,
             guide=guide,

@@ -139,7 +139,7 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
         problem.source.use_guide(resumed.guide)
     trained = None
     if resumed.network is not None:
-        trained = Trained(resumed.network, resumed.density, resumed.alpha)
+        trained = Trained(resumed.network, resumed.density_network, resumed.alpha)
     return Before(trained, resumed.before, guide=resumed.guide)
 
 
