@@ -20,10 +20,10 @@
  *
  * to first order in epsilon, with the output channel's own terms; ROUNDINGS counts the operations on the
  * way (certificate.py). This bound is written where it is asked for. It is some hundred times too large
- * on ordinary networks, so what decides is the condition: the same sum, but with each neuron's terms
- * only where it is on, over what is left of it, Σ |w_j| M_j + |b|. It must be at most CONDITION_LIMIT,
- * else the point is done again in double precision. `open` is the share of the square where a neuron is
- * on.
+ * on ordinary networks, so a smaller number decides, the condition: the same sum, with each neuron's
+ * terms only where it is on, divided by what remains after cancellation, Σ |w_j| M_j + |b|. If it
+ * exceeds CONDITION_LIMIT, the point is done again in double precision. `open` is the share of the
+ * square where a neuron is on.
  *
  * Work-group contract: functions named leader_* for lane 0 between barriers; the others for all lanes.
  * sum_terms and sum_on_terms hold barriers, the others do not.

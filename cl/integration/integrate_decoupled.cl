@@ -5,8 +5,8 @@
  * The arranged layer's own neurons are linear between the vertices. Their integrals, for certification,
  * are sums over vertices: a third of the areas around a vertex (`vertex_weight`) times the values there.
  *
- * Network values are taken once per vertex, faces share them. Triangles and neurons are the two loops
- * that cost: VEC neurons at a time on CPUs, a lane a neuron on GPUs.
+ * The network is evaluated once at each vertex, which faces share. Most time goes into the loop over
+ * triangles and neurons: it takes VEC neurons at a time on CPUs, one a lane on GPUs.
  *
  * Work-group contract: leader_* for lane 0 between barriers; the others for all lanes, end with a
  * barrier.

@@ -2,14 +2,15 @@
  *
  * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on
  * GPUs if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes
- * share out. Matrices lie transposed, [input][output], outputs padded with zeros to whole vectors, so
- * that the weights of VEC neurons are one load.
+ * share out. Matrices are stored transposed, [input][output], outputs padded with zeros to whole
+ * vectors, so that one load reads the weights of VEC neurons.
  *
  * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2),
- * and the next layer's column by the inverse. Only exponents are added up, so nothing overflows or
- * vanishes on the way from weights of any size; relu and leaky relu commute with positive factors. Where
- * every neuron's largest parameter is moderate already, as in any ordinary network, that would change no
- * bit of the result, and takes a tenth of a small network's time: such points are not scaled.
+ * and the next layer's column by the inverse. relu and leaky relu commute with positive factors, so the
+ * scales of all layers are only added up, as exponents, and no product overflows or underflows, whatever
+ * the weights. Where every neuron's largest parameter is moderate already, as in any ordinary network,
+ * scaling would change no bit of the result and take a tenth of a small network's time: such points are
+ * not scaled.
  *
  * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the
  * sizes of the arrays below; CORNER_BOUNDS, the most corners that a cell of each arrangement can have.

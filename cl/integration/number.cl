@@ -50,8 +50,8 @@ typedef JOIN(EXPONENT_NAME, VEC) exponents;
 #define AS_NUMBERS(x) JOIN(JOIN(as_, NUMBER_NAME), VEC)(x)
 #endif
 
-/* PoCL 3 makes four stores of vstore16, and who loads the whole vector soon after has to wait for the
- * last: PUT is one store to `memory`, and needs no more alignment than vstore does. */
+/* PoCL 3 makes four stores of vstore16, and a load of the whole vector soon after waits for the last of
+ * them. PUT is one store to `memory`, with the same alignment as vstore. */
 typedef numbers loose_numbers __attribute__((aligned(sizeof(number))));
 #define PUT(value, memory, pointer) (*(memory loose_numbers *)(pointer) = (value))
 

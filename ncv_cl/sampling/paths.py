@@ -1,5 +1,4 @@
-"""Samples with a path behind the first bounce, traced in wavefronts: each value is itself an
-estimate."""
+"""Samples with a path behind the first bounce, in wavefronts: each value is itself an estimate."""
 
 from __future__ import annotations
 
