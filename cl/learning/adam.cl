@@ -1,11 +1,10 @@
 /* Adam: one step of a network's parameters and of the hash grid's entries that a minibatch touched.
  *
- * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015,
- * algorithm 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in
- * order. Each further work-item updates VEC table entries. It gathers their gradients from an inverted
- * index: pairs starts[i] .. starts[i + 1] of the index belong to item i, entry entries[i]; each is a
- * place in `grid_gradient` and a weight. No atomics, so the same bits every time. Entries that a
- * minibatch does not touch stay as they are.
+ * The first PARTIAL_FLOATS / VEC work-items update VEC network parameters each (Kingma and Ba 2015, algorithm
+ * 1), laid out as in train.cl: the gradient is the sum of `groups` rows of `partial`, in order. Each further
+ * work-item updates VEC table entries. It gathers their gradients from an inverted index: pairs starts[i] ..
+ * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
+ * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
  *
  * The step's rows of `plan` and `rates` hold the groups, entries and step sizes. The global offset tells
  * which rows these are (Kernel.repeat).

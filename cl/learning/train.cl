@@ -1,18 +1,17 @@
 /* Training: loss gradients of a minibatch, reduced in a fixed order.
  *
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
- * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS +
- * c of `all_targets`. These three numbers are in the step's row of `plan`, of PLAN_WORDS words. The
- * global offset tells which row that is (Kernel.repeat). `factor` (a plane a channel, by column) is what
- * the network's output is multiplied by; the loss is the mean over samples and channels of weight^2 (g -
- * f / factor)^2, where weight, also by column and channel, is the factor over its mean to a power that
- * the host chose.
+ * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
+ * of `all_targets`. These three stand in the step's row of `plan`, PLAN_WORDS words of which the global offset
+ * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied by;
+ * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
+ * column and channel, is the factor over its mean to a power that the host chose.
  *
- * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2
- * rows of W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1),
- * BASE_ROWS floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only
- * the grid's entries that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner`
- * names the entries around a column, column after column, level after level.
+ * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
+ * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
+ * floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only the grid's entries
+ * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
+ * a column, column after column, level after level.
  *
  * A group takes a tile of TILE columns at a time. Local memory holds, as rows of TILE floats: theta (a
  * column's weights but W2, which the heads give), the activations of samples forward and backward, and

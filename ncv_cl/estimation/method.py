@@ -10,8 +10,8 @@ from .tuning import NESTED_SAMPLES_THAT_PAY, SAMPLES_THAT_PAY
 def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
     """The method, "ncv" if the image has enough samples, else "mc"; and why, in words.
 
-    Training takes about the same time for every image, and what it saves grows with the samples.
-    ``python bench/bench_method.py`` prints the thresholds.
+    Training takes about the same time for every image, and what it takes off grows with the samples.
+    Thresholds are those that ``python bench/bench_method.py`` prints.
     """
     samples = float(settings.spp) * problem.points.active
     nested = settings.integrand.nested

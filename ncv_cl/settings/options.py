@@ -37,9 +37,9 @@ class Sampling:
     supersample : int
         k makes k × k shading points a pixel, averaged by a box filter.
     allocation : {"magnitude", "pilot", "uniform"}, optional
-        How the samples are spread over the image: by each point's predicted residual ("magnitude", for
-        ncv), by its variance in a pilot of a quarter of the samples, at most 64 ("pilot", for mc), or
-        evenly ("uniform"). The default is the preset's for ncv, "uniform" for mc.
+        How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
+        its variance in a quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By
+        default what the preset says for ncv, "uniform" for mc.
     visibility : {"auto", "embree"}
         Test shadow rays that few triangles can block on the device ("auto"), or trace all of them by
         embree. Pixels differ only where a ray grazes an edge.
