@@ -180,6 +180,15 @@ def test_links_and_paths_of_a_page_exist(page):
         assert (CHECKOUT / page).parent.joinpath(link).exists(), link
 
 
+def test_kernel_files_that_the_source_names_exist():
+    """Comments and docstrings name files by their base names, or by their paths."""
+    kernels = {path.name: path for path in (CHECKOUT / "cl").glob("*/*.cl")}
+    for source in [*(CHECKOUT / "ncv_cl").rglob("*.py"), *kernels.values()]:
+        for name in re.findall(r"[\w/]*\w\.cl\b", source.read_text(encoding="utf-8")):
+            found = CHECKOUT / name if "/" in name else kernels.get(name)
+            assert found is not None and found.exists(), f"{source} names {name}"
+
+
 @pytest.mark.parametrize("name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py"])
 def test_examples_render(folder, small, monkeypatch, name):
     """In a fresh process each takes seconds; here they run with smaller pictures."""

@@ -1,6 +1,6 @@
 """Certification of exact integrals: limits, reasons to do a point again, and counts.
 
-`cl/integrate_check.cl` has the mathematics. This is the only owner of its constants.
+`cl/integration/integrate_check.cl` has the mathematics. This is the only owner of its constants.
 """
 
 from __future__ import annotations
