@@ -65,7 +65,7 @@ typedef struct {
   int faces;
   int lines; /* lines inserted so far */
   int visited; /* faces that the depth-first walk has entered */
-  int failed; /* sticky: a line did not walk as a line does, the point must be done again */
+  int failed; /* sticky: a line failed a check, the point must be done again */
 } __attribute__((aligned(64))) Dcel;
 
 /* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole
@@ -265,7 +265,7 @@ void leader_list_crossing_lines(SPACE int *crossing, const int count) {
   crossing[LINE_STRIDE] = found;
 }
 
-/* a x + b y + c, or 0 where that is not told from it. */
+/* a x + b y + c, or 0 where the value is within rounding of 0. */
 numbers snapped_value(const numbers a, const numbers b, const numbers c, const numbers x, const numbers y) {
   const numbers z = FMA(a, x, FMA(b, y, c));
   const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));

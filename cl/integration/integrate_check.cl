@@ -63,8 +63,8 @@ void sum_terms(SPACE const Workspace *work, __global Tables *tables, const int l
 }
 
 /* The mean over the square of neurons' terms where they are on, in `on_terms`; of all hidden layers but
- * the last, the mean over where they are on. Where neurons of two layers are on together is not known:
- * at most where the rarer is. */
+ * the last, the mean over where they are on. Where neurons of two layers are on together is not known;
+ * their share is bounded by the smaller of the two. */
 void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   for (int k = 0; k < HIDDEN; ++k) {
     const int before = k > 0 ? BIAS_OFFSET[k - 1] : 0;

@@ -87,9 +87,9 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 #define VERTEX_BLOCK (TILE < 8 ? TILE : 8)
 
 /* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. A
- * neuron is exactly 0 on its own line: what rounding leaves there would be carried by the next layer's
- * weights into faces in which the neuron is off. Their weighted sum goes to `excess`; weights are left
- * zero for the next cell. */
+ * neuron is set to exactly 0 on its own line: a rounding error there would reach, through the next
+ * layer's weights, faces in which the neuron is off. Their weighted sum goes to `excess`; weights are
+ * left zero for the next cell. */
 void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];

@@ -24,7 +24,7 @@ kernel void column_moments(const uint count, const uint stride, const uint sampl
   const uint column = (uint)get_global_id(0);
   if (column >= count) return;
   const PointNetwork network = NETWORK_OF(order[column]);
-  /* Sums are about values near the means, so that little is lost in the differences. */
+  /* Sums are of differences to values near the means, so that little is lost to rounding. */
   real f_shift[CHANNELS], g_shift[CHANNELS], f_sum[CHANNELS], g_sum[CHANNELS], product[CHANNELS], square[CHANNELS];
   for (uint c = 0; c < CHANNELS; ++c)
     f_sum[c] = g_sum[c] = product[c] = square[c] = f_shift[c] = g_shift[c] = (real)0.0f;

@@ -56,7 +56,7 @@
 void heads_forward(global const float *restrict parameters, local const real *restrict features,
                    local real *restrict theta) {
   for (int block = 0; block < HEAD_ROWS; block += ROW_BLOCK) {
-    /* The last block begins earlier, where it would be a part only. */
+    /* If the last block would be a part of one, it begins earlier. */
     const int row = min(block, HEAD_ROWS - ROW_BLOCK);
     global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS;
     real sum[ROW_BLOCK];

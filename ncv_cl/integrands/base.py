@@ -92,8 +92,8 @@ class Integrand:
         Raises
         ------
         IntegrandError
-            As `data` and `kernels` raise it, where the class does not say what it must, or where a
-            light's numbers are beyond float32: kernels take NaN for no light.
+            As `data` and `kernels` raise it; if the class lacks an attribute or has a wrong one; or if a
+            light's numbers overflow float32, since kernels take NaN for no light.
         """
         self._check_declared()
         self._check_kernels()
@@ -117,7 +117,7 @@ class Integrand:
             )
 
     def _check_declared(self) -> None:
-        """That the class has attributes, as they must be."""
+        """Raise if an attribute of the class is missing or wrong."""
         own = type(self).__name__
         missing = [name for name in ("name", "files", "channels", "inputs") if not hasattr(self, name)]
         if missing:
@@ -134,7 +134,7 @@ class Integrand:
             raise IntegrandError(f"{own}.inputs must hold position, are {self.inputs!r}")
 
     def _check_kernels(self) -> None:
-        """That other people's kernel files can be read, and define what is called."""
+        """Raise if a kernel file that is not the package's cannot be read, or lacks the function."""
         kernels = self.kernels()
         theirs = [file.name for file in kernels if isinstance(file, KernelText)]
         if not theirs:

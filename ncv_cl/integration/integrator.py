@@ -33,9 +33,9 @@ SCRATCH_BYTES = 256 << 20
 class Integrator:
     """Integrates networks of one shape; parameters and results stay on the device.
 
-    Every point certifies itself (`Statistics` has the reasons). One that does not is done again by
-    arrangements in double precision, if it was single and the device has double; then by cutting
-    polygons. Calls of one object from several threads wait for each other.
+    Every point is certified (`Statistics` lists the tests). One that fails is done again by arrangements
+    in double precision, if the arrays are single and the device has double; then by cutting polygons.
+    Calls of one object from several threads wait for each other.
 
     Parameters
     ----------
