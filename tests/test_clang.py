@@ -62,6 +62,11 @@ edge2 = [0, 0, 1]
 radiance = [3, 2, 1]
 """
 )
+# More lights than kernels look at one by one.
+MANY = GLOSSY + "".join(
+    f"[[lights]]\ncorner = [{x}, 2, 3]\nedge1 = [0.5, 0, 0]\nedge2 = [0, 0, 0.5]\nradiance = 1\n"
+    for x in range(8)
+)
 # No light, and a surface that emits; a sphere has normals of its own.
 GLOWING = (
     MATTE[: MATTE.index("[[lights]]")].replace("[[quads]]", "emission = 2\n[[quads]]")
@@ -85,6 +90,8 @@ def render_everything(device: Device, folder: Path) -> None:
         (MATTE, AmbientOcclusion(mapping="cosine")),
         (MATTE, GlobalIllumination()),
         (GLOSSY, GlobalIllumination(3)),
+        (MANY, DirectLight()),
+        (MANY, GlobalIllumination(3)),
         (MATTE, GlobalIllumination(2, direct=False)),
         (GLOWING, GlobalIllumination(4)),
     ]

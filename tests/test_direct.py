@@ -23,7 +23,8 @@ from reference import (
 )
 
 from ncv_cl.integrands import DirectLight, IntegrandError
-from ncv_cl.integrands.lights import LIGHT_FLOATS, MOST_CHOSEN, power_of, strip_rows, strip_widths
+from ncv_cl.integrands.light_cells import cell_of
+from ncv_cl.integrands.lights import light_rows
 from ncv_cl.sampling.samples import NO_RAY
 from ncv_cl.scene.load import load_scene
 
@@ -65,29 +66,27 @@ def exact_radiance(scene, points, albedo=0.5):
     return radiance
 
 
-def chosen_strips(strips, scene, rows, point):
-    """The strips of the lights that may light a point, (lights, 2): by their corners alone."""
-    choice = 0
-    for k, light in enumerate(scene.lights):
-        to = light_corners(light) - rows["position"][point]
-        shines = light.two_sided or to[0] @ light.normal < 0
-        above = (to @ rows["normal"][point]).max() > 0
-        choice |= int(shines and above) << k
-    return strips[choice if len(strips) > 1 else 0]
+def strips_at(scene, points):
+    """Of each point, where its lights' strips begin and their widths, (points, lights, 2)."""
+    if len(scene.lights) == 1:
+        return np.broadcast_to([0.0, 1.0], (points.active, 1, 2))
+    found = light_rows(scene)
+    places = (points.rows(name).T[: points.active] for name in ("position", "geometric_normal"))
+    return found.strips[found.table[cell_of(found.cells, *places)]]
 
 
 @pytest.mark.parametrize("lights", [LIGHTS[:1], LIGHTS[1:], LIGHTS])
-@pytest.mark.parametrize("material", [grey((0.2, 0.5, 0.9)), grey((0.2, 0.5, 0.9), (0.04, 0, 0.6), 0.3)])
-def test_every_sample_matches_float64(device, lights, material):
-    scene, samples = floor_scene(lights, material), 203
+def test_every_sample_matches_float64(device, lights):
+    material, samples = grey((0.2, 0.5, 0.9)), 203
+    scene = floor_scene(lights, material)
     points, source, rays = sampling(device, scene, DirectLight(), (7, 5), samples)
     arrays = batch_arrays(source.draw(range(points.active), range(samples), 0), 3)
-    rows_of_strips = strip_rows(scene.lights)
+    strips = strips_at(scene, points)
     two_sided = np.array([one.two_sided for one in scene.lights])
     rows = {name: points.rows(name).T.astype(float) for name in ("position", "normal", "outgoing")}
     for point in range(points.active):
         u, v = (arrays[name][point].astype(float) for name in "uv")
-        first, widths = chosen_strips(rows_of_strips, scene, rows, point).T
+        first, widths = strips[point].T
         inside = (u[:, None] >= first) & (u[:, None] < first + widths)
         assert (inside.sum(axis=1) == 1).all()
         which = inside.argmax(axis=1)
@@ -212,50 +211,15 @@ def test_an_occluder_casts_its_shadow(device):
 def test_lights_that_are_off_cost_and_give_nothing(device):
     off = replace(LIGHTS[1], radiance=np.zeros(3, np.float32))
     scene = floor_scene((off, LIGHTS[0], off))
-    assert strip_rows(scene.lights)[-1].tolist() == [[0, 0], [0, 1], [1, 0]]
+    assert light_rows(scene).strips[0].tolist() == [[0, 0], [0, 1], [1, 0]]
     assert np.isfinite(DirectLight().data(scene)).all()
     points, source, _ = sampling(device, scene, DirectLight(), (4, 3), 4096)
     mean = shadowed_values(source.draw(range(points.active), range(4096), 0), 3).mean(axis=-1)
     np.testing.assert_allclose(mean, exact_radiance(scene, points), rtol=2e-5)
     # Of two without power nothing is asked but a picture, which is black.
     dark = floor_scene((off, off))
-    assert strip_rows(dark.lights)[-1, :, 1].tolist() == [0.5, 0.5]
+    assert light_rows(dark).widths.tolist() == [[0.5, 0.5]]
     assert not render_plain(device, dark, DirectLight(), (4, 3), 16)[0].pixels.any()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 16, 17, 1000, 5000])
-@pytest.mark.parametrize("ratio", [1.0, 1.3, 1e6, 1e30])
-def test_strips_are_dyadic_and_none_is_starved(count, ratio):
-    generator = np.random.default_rng(count)
-    strength = ratio ** generator.uniform(-0.5, 0.5, count)
-    lights = tuple(replace(LIGHTS[0], radiance=np.full(3, s, np.float32)) for s in strength)
-    widths = strip_widths(np.array([power_of(light) for light in lights]))
-    cells = 1 / np.gcd.reduce((widths * 2**24).astype(np.int64)) * 2**24
-    assert cells <= max(16, 8 * count)
-    # Exactly, also in float32: as the kernel compares them.
-    records = DirectLight().data(floor_scene(lights))[: count * LIGHT_FLOATS].reshape(-1, LIGHT_FLOATS)
-    np.testing.assert_array_equal(records[:, 15][1:], (records[:, 15] + records[:, 16])[:-1])
-    assert records[0, 15] == 0 and records[-1, 15] + records[-1, 16] == 1
-    np.testing.assert_array_equal(records[:, 16], widths)
-    wanted = 0.5 * strength / strength.sum() + 0.5 / count
-    assert np.abs(widths - wanted).max() < 1 / max(16, 4 * count)
-    assert widths.min() >= 0.5 / count - 1 / max(16, 4 * count) > 0
-
-
-@pytest.mark.parametrize("count", [2, 3, MOST_CHOSEN, MOST_CHOSEN + 1])
-def test_every_choice_of_lights_has_strips_of_its_own(count):
-    lights = tuple(replace(LIGHTS[0], radiance=np.full(3, 3.0**k, np.float32)) for k in range(count))
-    rows = strip_rows(lights)
-    power = np.array([power_of(light) for light in lights])
-    assert len(rows) == (2**count if count <= MOST_CHOSEN else 1)
-    for number, row in enumerate(rows):
-        chosen = [k for k in range(count) if number >> k & 1] or list(range(count))
-        np.testing.assert_array_equal(row[chosen, 1], strip_widths(power[chosen]))
-        np.testing.assert_array_equal(np.cumsum(row[chosen, 1]), row[chosen].sum(axis=1))
-        assert not np.delete(row, chosen, axis=0).any() and row[:, 1].sum() == 1
-    np.testing.assert_array_equal(
-        DirectLight().data(floor_scene(lights))[-2 * count :], rows[-1].ravel()
-    )
 
 
 def test_lights_that_cannot_light_a_point_take_none_of_its_samples(device):
@@ -292,20 +256,21 @@ def test_a_hidden_sun_does_not_starve_a_lamp(device):
         np.testing.assert_allclose(image.pixels.reshape(-1, 3).T, exact, rtol=2e-3)
 
 
-def test_strips_off_the_grid_would_ruin_sobol_points(device, monkeypatch):
+def test_strips_off_a_coarse_grid_would_ruin_sobol_points(device, monkeypatch):
     """What the grid is for: two smooth lights, 1024 points, the same shares on it and off it."""
     lights = (LIGHTS[0], light_at([2, 2, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)))
 
-    def error(shares):
+    def error(steps, first):
+        monkeypatch.setattr("ncv_cl.integrands.lights.FEWEST_STEPS", steps)
         monkeypatch.setattr(
             "ncv_cl.integrands.lights.strip_widths",
-            lambda power: np.array(shares)[: len(power)] / sum(shares[: len(power)]),
+            lambda brings: np.broadcast_to([first / steps, 1 - first / steps], brings.shape),
         )
         scene = floor_scene(lights)
         image, points = render_plain(device, scene, DirectLight(), (9, 7), 1024)
         return np.mean((image.pixels.reshape(-1, 3).T - exact_radiance(scene, points)) ** 2)
 
-    assert error([7 / 16, 9 / 16]) < 0.1 * error([0.4319, 0.5681])
+    assert error(16, 7) < 0.1 * error(4096, 1769)
 
 
 @pytest.mark.parametrize("sampler", ["independent", "sobol"])

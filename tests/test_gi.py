@@ -135,10 +135,23 @@ SEVERAL_LIGHTS = (
     light_at([-1, 1.5, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)),
     light_at([1.5, 0, -1.5], [0, 1, 0], [0, 0, 1], 4, two_sided=True),
 )
+# One hangs under the shelf, a strong one is behind the floor, another behind a wall, one stands at the
+# other; and so many that kernels gather their records.
+SEEN_AND_HIDDEN = (
+    light_at([-0.5, 0.1, -1.5], [0.5, 0, 0], [0, 0, 0.5], 9),
+    light_at([-2, -1.5, -2], [4, 0, 0], [0, 0, 4], 900, two_sided=True),
+    light_at([-2.5, 0, -1], [0, 1, 0], [0, 0, 1], (400, 10, 10), two_sided=True),
+    light_at([1.5, 0, -1.5], [0, 1, 0], [0, 0, 1], 4, two_sided=True),
+    light_at([-1, 0.6, -1.9], [0, 0.8, 0], [1, 0, 0], (2, 3, 9)),
+)
+MANY = SEEN_AND_HIDDEN + tuple(
+    light_at([x, 1.6, z], [0.2, 0, 0], [0, 0, 0.2], 3.0**k)
+    for k, (x, z) in enumerate([(-1.5, -1.5), (1, -1.5), (-1.5, 1), (1, 1), (0, 0), (-0.5, 1.5)])
+)
 
 
 @pytest.mark.parametrize("depth", [2, 3, 4])
-@pytest.mark.parametrize("lights", [None, SEVERAL_LIGHTS])
+@pytest.mark.parametrize("lights", [None, SEVERAL_LIGHTS, SEEN_AND_HIDDEN, MANY])
 def test_matte_scenes_match_an_independent_path_tracer(device, depth, lights):
     scene = room(grey((0.3, 0.6, 0.9)), lights)
     mean, variance, points = estimates(device, scene, GlobalIllumination(depth), 1000)
@@ -149,17 +162,19 @@ def test_matte_scenes_match_an_independent_path_tracer(device, depth, lights):
 GLOSSY = grey((0.3, 0.2, 0.4), (0.5, 0.3, 0.7), 0.4)
 
 
+@pytest.mark.parametrize("lights", [None, SEEN_AND_HIDDEN, MANY])
 @pytest.mark.parametrize("material", [grey((0.3, 0.6, 0.9)), GLOSSY])
-def test_depth_two_is_direct_light(device, material):
-    scene = room(material)
+def test_depth_two_is_direct_light(device, material, lights):
+    scene = room(material, lights)
     mean, variance, _ = estimates(device, scene, GlobalIllumination(2), 1000)
     other, others, _ = estimates(device, scene, DirectLight(), 1000, "sobol")
     assert_same(mean, other, variance + others / 50)
 
 
+@pytest.mark.parametrize("lights", [None, MANY])
 @pytest.mark.parametrize("material", [grey((0.3, 0.6, 0.9)), GLOSSY])
-def test_parts_add_up(device, material):
-    scene = room(material)
+def test_parts_add_up(device, material, lights):
+    scene = room(material, lights)
     whole, variance, _ = estimates(device, scene, GlobalIllumination(5), 1000)
     direct, directs, _ = estimates(device, scene, DirectLight(), 1000)
     rest, rests, _ = estimates(device, scene, GlobalIllumination(5, direct=False), 1000)

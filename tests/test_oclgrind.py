@@ -20,8 +20,9 @@ from ncv_cl.points.sampler import SAMPLERS
 
 OCLGRIND = shutil.which("oclgrind")
 PROGRAM = Path(__file__).with_name("oclgrind_run.py")
-# Without optimisation, as oclgrind 21.10 knows neither llvm.bitreverse nor how to follow sincos.
-BUILD_OPTIONS = "-cl-opt-disable -Dsincos(x,cosine)=(*(cosine)=cos(x),sin(x))"
+# Without optimisation, as oclgrind 21.10 knows neither llvm.bitreverse nor how to follow sincos, and
+# without inlining, which makes of restrict pointers what it does not know either.
+BUILD_OPTIONS = "-cl-opt-disable -DINLINED= -Dsincos(x,cosine)=(*(cosine)=cos(x),sin(x))"
 CHECKS = ["--data-races", "--uninitialized", "--local-mem-size", "49152"]
 # (VEC, LANES) of a CPU and of a GPU; with float16 oclgrind reports initialised values as uninitialised.
 SHAPES = [(8, 1), (1, GPU_LANES)]
@@ -69,6 +70,26 @@ def simulate(log: Path, *command: str | Path) -> str:
 def test_simulator_finds_no_fault_in_a_render(integrand, method, sampler, vec, lanes, scenes, tmp_path):
     scene = scenes / "cornell_box.toml"
     faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, method, sampler, str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+# Two lights, and more than kernels look at one by one.
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("integrand", ["direct", "gi"])
+@pytest.mark.parametrize("more", [0, 8])
+def test_simulator_finds_no_fault_with_several_lights(integrand, more, vec, lanes, scenes, tmp_path):
+    scene = tmp_path / "lights.toml"
+    lamp = "[[lights]]\ncorner = [{}, 2.5, 0]\nedge1 = [0.1, 0, 0]\nedge2 = [0, 0, 0.1]\nradiance = 1\n"
+    lamps = "".join(lamp.format(0.2 * k) for k in range(more))
+    scene.write_text((scenes / "interior.toml").read_text(encoding="utf-8") + lamps, encoding="utf-8")
+    faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, "mc", "sobol", str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_in_a_lobe(vec, lanes, scenes, tmp_path):
+    arguments = ("direct", "mc", "sobol", str(vec), str(lanes))
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / "veach_plates.toml", *arguments)
     assert not faults, faults[:5000]
 
 

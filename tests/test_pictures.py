@@ -31,6 +31,7 @@ PICTURES = {
     "gi ncv": ("cornell_box", "gi", {"method": "ncv"}),
     "direct ncv, several lights": ("interior", "direct", {"method": "ncv"}),
     "direct mc, embree": ("occluders", "direct", {"method": "mc", "visibility": "embree"}),
+    "direct mc, glossy": ("veach_plates", "direct", {"method": "mc"}),
     "direct mc, pilot": ("interior", "direct", {"method": "mc", "allocation": "pilot"}),
     "direct ncv, independent": ("knot", "direct", {"method": "ncv", "sampler": "independent"}),
     "direct ncv, subdivision": ("cornell_box", "direct", {"method": "ncv", "density": "subdivision"}),

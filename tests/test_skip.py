@@ -21,7 +21,7 @@ def dark_points(scene, points):
     return DirectLight().dark(scene, points)
 
 
-@pytest.mark.parametrize("name", ["cornell_box", "occluders", "knot"])
+@pytest.mark.parametrize("name", ["cornell_box", "occluders", "knot", "veach_plates"])
 def test_dark_points_have_no_sample_with_a_value_and_others_do(device, scenes, name):
     scene = load_scene(scenes / f"{name}.toml")
     tracer = Tracer(scene)

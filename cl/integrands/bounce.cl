@@ -6,7 +6,7 @@
  *
  * of GGX's visible normals, reflected (Heitz 2018; sampled by a spherical cap, Dupuy and Benyoub 2023), and
  * cosines: u < q picks the lobe, and what is left of u is stretched. q, the lobe's share, is 0 without
- * reflectance and follows the two reflectances otherwise. Cosines come from the disc by Shirley's and
+ * reflectance and follows the two reflectances otherwise. The lobe is there by itself too. Cosines come from the disc by Shirley's and
  * Chiu's concentric map (1997), which keeps neighbours of the square neighbours on the hemisphere.
  *
  * Work-group contract: none; pure functions of private values.
@@ -80,6 +80,36 @@ triple reflect_lobe(const Scatterer *s, const triple o, const real height, const
   const real twice = 2.0f * (o.x * x + o.y * y + o.z * z) * unit * unit;
   return (triple){twice * x - o.x, twice * y - o.y, twice * z - o.z};
 }
+
+/* The lobe's direction at height v, from the pole down, and at an azimuth: in the normal's frame. */
+triple lobe_direction(const Scatterer *s, const real v, const real cosine, const real sine) {
+  /* The cap reaches from the pole down to the direction opposite to the viewer's, stretched. */
+  triple tangent, bitangent;
+  triple_frame(s->normal, &tangent, &bitangent);
+  const triple o = {dot_triple(tangent, s->outgoing), dot_triple(bitangent, s->outgoing),
+                    max(dot_triple(s->normal, s->outgoing), (real)1e-6f)};
+  const real alpha = s->roughness * s->roughness;
+  const real stretched = o.z * rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
+  const real height = (1.0f - v) * (1.0f + stretched) - stretched;
+  const real sine_h = sqrt(max((real)0.0f, FMA(-height, height, (real)1.0f)));
+  return reflect_lobe(s, o, height, sine_h, cosine, sine);
+}
+
+/* The direction of a point of the unit square by the lobe alone; may lie below the surface. */
+triple sample_lobe(const Scatterer *s, const real u, const real v) {
+  real cosine;
+  const real sine = sincos_of_turns(u, &cosine);
+  const triple lobe = lobe_direction(s, v, cosine, sine);
+  return from_frame(s->normal, lobe.x, lobe.y, lobe.z);
+}
+
+/* Its density, per solid angle. */
+real lobe_density(const Scatterer *s, const triple incident) {
+  const triple sum = {incident.x + s->outgoing.x, incident.y + s->outgoing.y, incident.z + s->outgoing.z};
+  const real inverse = rsqrt(max(dot_triple(sum, sum), (real)1e-20f));
+  const real cosine_o = max(dot_triple(s->normal, s->outgoing), (real)1e-6f);
+  return microfacet_density(s, sum, inverse) * 0.5f / (cosine_o + masking(s, (real)1.0f, cosine_o));
+}
 #endif
 
 /* Density of a unit direction, per solid angle. */
@@ -87,11 +117,7 @@ real scattering_density(const Scatterer *s, const triple incident) {
   const real matte = max(dot_triple(s->normal, incident), (real)0.0f) * M_1_PI_F;
 #if HAS_SPECULAR
   const real share = lobe_share(s);
-  const triple sum = {incident.x + s->outgoing.x, incident.y + s->outgoing.y, incident.z + s->outgoing.z};
-  const real inverse = rsqrt(max(dot_triple(sum, sum), (real)1e-20f));
-  const real cosine_o = max(dot_triple(s->normal, s->outgoing), (real)1e-6f);
-  const real lobe = microfacet_density(s, sum, inverse) * 0.5f / (cosine_o + masking(s, (real)1.0f, cosine_o));
-  return matte + share * (lobe - matte);
+  return matte + share * (lobe_density(s, incident) - matte);
 #else
   return matte;
 #endif
@@ -109,14 +135,6 @@ triple sample_scattering(const Scatterer *s, const real u, const real v) {
   real radius, azimuth;
   concentric(along, v, &radius, &azimuth);
 #if HAS_SPECULAR
-  /* The cap reaches from the pole down to the direction opposite to the viewer's, stretched. */
-  triple tangent, bitangent;
-  triple_frame(s->normal, &tangent, &bitangent);
-  const triple o = {dot_triple(tangent, s->outgoing), dot_triple(bitangent, s->outgoing),
-                    max(dot_triple(s->normal, s->outgoing), (real)1e-6f)};
-  const real alpha = s->roughness * s->roughness;
-  const real stretched = o.z * rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
-  const real height = (1.0f - v) * (1.0f + stretched) - stretched;
   azimuth = SELECT(azimuth, along, in_lobe);
 #endif
   real cosine;
@@ -124,8 +142,7 @@ triple sample_scattering(const Scatterer *s, const real u, const real v) {
   const real z = sqrt(max((real)0.0f, FMA(-radius, radius, (real)1.0f)));
   const triple matte = {radius * cosine, radius * sine, z};
 #if HAS_SPECULAR
-  const real sine_h = sqrt(max((real)0.0f, FMA(-height, height, (real)1.0f)));
-  const triple lobe = reflect_lobe(s, o, height, sine_h, cosine, sine);
+  const triple lobe = lobe_direction(s, v, cosine, sine);
   return from_frame(s->normal, SELECT(matte.x, lobe.x, in_lobe), SELECT(matte.y, lobe.y, in_lobe),
                     SELECT(matte.z, lobe.z, in_lobe));
 #else

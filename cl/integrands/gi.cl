@@ -3,7 +3,7 @@
  * (u, v) is at once a point on a light (lights.cl, whose records are the integrand_data) and, in paths.cl, the
  * direction of the first bounce: the sum of two integrals over one square is one integral. Where the surface
  * has a lobe, light is found in both ways, each weighted by the balance heuristic (Veach 1997); elsewhere by its
- * points alone. All lights have strips at every point, as rays that find them do not know which had. Without DIRECT nothing is left here.
+ * points alone. Rays that find lights remember which strips the point had. Without DIRECT nothing is left here.
  *
  * Work-group contract: none; pure functions of private values.
  */
@@ -14,7 +14,7 @@ void evaluate_integrand(const ShadingPoint *p, global const float *restrict inte
 #if DIRECT
   const Scatterer s = scatterer_of(p);
   const LightSample light =
-      sample_lights(integrand_data, all_strips(integrand_data), to_triple(p->position), to_triple(ray_origin(p)), u, v);
+      sample_lights(integrand_data, strips_at(integrand_data, p), to_triple(p->position), to_triple(ray_origin(p)), u, v);
   const real cosine = dot_triple(s.normal, light.towards);
   const whole lit =
       light.lit && (cosine > 0.0f) && (dot_triple(to_triple(p->geometric_normal), light.towards) > 0.0f);

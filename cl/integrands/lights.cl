@@ -2,11 +2,11 @@
  *
  * Several lights share the one unit square: light k owns a strip first <= u < first + width, and u is
  * stretched over the strip. So what is integrated over all lights stays two-dimensional and one network serves all
- * of them. Widths are made by lights.py, multiples of a power of two that sum to 1: exact, as all this is with them.
- * Lights without power have no strip. Of a few lights, those that cannot light a point have none there either: for
- * every choice of lights there is a row of strips.
+ * of them. Widths are made by lights.py, multiples of 1 / STRIP_STEPS, a power of two, that sum to 1: exact, as all this
+ * is with them. Strips depend on the cell of the scene that the surface is in (light_cells.py): a row holds those of
+ * the lights that may light something in the cell, as wide as what they bring there asks for. A table says which light
+ * a step of the square belongs to, so a sample costs the same however many lights there are.
  *
-
  * Where on its light a sample lies. Seen from a position at distance z from the light's plane, a line along edge2 is
  * at an angle theta from the plane's foot, and a point on it at an angle of sine h from the line's foot: cylindrical
  * coordinates about an axis along edge2, in which d(theta) dh is solid angle, as Archimedes found. (u, v) are theta and
@@ -17,14 +17,27 @@
  * is then as good and costs less.
  *
  * `lights`: LIGHT_COUNT records of LIGHT_FLOATS floats:
- *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance, 15 first and 16 width of the
- *   strip where all lights have one, 17 two-sided (0 or 1), 18 offset of ray ends off the light's plane, for rays from the scene's origin, 19 area,
+ *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance, 15 two unused, 17 two-sided (0 or 1),
+ *   18 offset of ray ends off the light's plane, for rays from the scene's origin, 19 area,
  *   20 unit vector along edge2, 23 unit vector across it in the plane, 26 length of edge2, 27 edge1 across, 28 edge1
  *   along edge2 over that, 29 squared distance of the middle from which on the light is small, 30 two unused.
- *   Then STRIP_ROWS rows, first and width of each light's strip.
+ * With two lights or more follow FRAME_FLOATS floats: 0 lower corner of the cells' grid, 3 one over the extent of its
+ * boxes, 6 how many along each axis, 9 where the table of cells begins; rows of STRIP_STEPS numbers of lights, then
+ * first and width of each light's strip, the first row by the lights' power alone; and the number of each cell's row.
+ * A row is known by where it begins.
  *
  * Work-group contract: none; pure functions of private values.
  */
+
+#define LIGHT_FRAME (LIGHT_COUNT * LIGHT_FLOATS)
+#define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
+#define ROW_FLOATS (STRIP_STEPS + 2 * LIGHT_COUNT)
+/* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
+#ifndef INLINED
+#define INLINED __attribute__((always_inline))
+#endif
+/* Of so many lights each is looked at for all samples at once; of more, every sample gathers its own's numbers. */
+#define SELECTED_LIGHTS 8
 
 typedef struct {
   triple towards;   /* unit, from the position to the light */
@@ -48,7 +61,7 @@ typedef struct {
 
 /* atan2(y, x) of y >= 0, which is not zero if x is, and below the sine and cosine of angles from 0 to pi: to a rounding
  * error or two of the largest results, for a third of what the built-in ones cost (Moshier 1992, Cephes). */
-real half_turn_angle(const real y, const real x) {
+INLINED real half_turn_angle(const real y, const real x) {
   const real low = min(y, fabs(x));
   const real high = max(y, fabs(x));
   const whole steep = low > 0.41421356f * high;
@@ -61,7 +74,7 @@ real half_turn_angle(const real y, const real x) {
   return SELECT(angle, M_PI_F - angle, x < 0.0f);
 }
 
-void half_turn_sincos(const real angle, real *sine, real *cosine) {
+INLINED void half_turn_sincos(const real angle, real *sine, real *cosine) {
   /* From the quarter's, doubled twice: as exact for small angles as these are. */
   const real a = 0.25f * angle;
   const real a2 = a * a;
@@ -78,7 +91,7 @@ void half_turn_sincos(const real angle, real *sine, real *cosine) {
 }
 
 /* The range of theta. */
-real view_angle(const LightView *view) {
+INLINED real view_angle(const LightView *view) {
   const real x1 = view->x0 + view->width;
   return half_turn_angle(view->z * view->width, FMA(view->z, view->z, view->x0 * x1));
 }
@@ -88,7 +101,7 @@ typedef struct {
   real squared, h[2], rest[2], range;
 } LightLine;
 
-LightLine light_line(const LightView *view, const real x, const real y) {
+INLINED LightLine light_line(const LightView *view, const real x, const real y) {
   LightLine line;
   line.squared = FMA(x, x, view->z * view->z);
   const real ends[2] = {y, y + view->length};
@@ -106,7 +119,7 @@ LightLine light_line(const LightView *view, const real x, const real y) {
 }
 
 /* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
-real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
+INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
   const real angle = view_angle(view);
   real sine, cosine;
   half_turn_sincos(u * angle, &sine, &cosine);
@@ -124,136 +137,210 @@ real sample_view(const LightView *view, const real u, const real v, real *x, rea
   return angle * line.range;
 }
 
-/* The strips of a row: those of all lights, the last, and those of the lights that may light a point. */
-global const float *all_strips(global const float *restrict lights) {
-  return lights + LIGHT_COUNT * (LIGHT_FLOATS + (STRIP_ROWS - 1) * 2);
+/* The row by the lights' power alone. */
+whole all_strips(global const float *restrict lights) {
+  (void)lights;
+  return (whole)FIRST_ROW;
 }
 
-global const float *strips_at(global const float *restrict lights, const ShadingPoint *p) {
-#if STRIP_ROWS > 1
-  uint row = 0;
-  for (uint light = 0; light < LIGHT_COUNT; ++light) {
-    global const float *restrict record = lights + light * LIGHT_FLOATS;
-    const float3 corner = vload3(0, record) - p->position;
-    const float3 edge1 = vload3(1, record);
-    const float3 edge2 = vload3(2, record);
-    bool above = false, above_triangle = false;
-    for (uint k = 0; k < 4; ++k) {
-      const float3 to = corner + (float)(k & 1u) * edge1 + (float)(k >> 1) * edge2;
-      /* A light that rounding takes for a hidden one would be missing. */
-      const float rounding = -1e-5f * largest(to);
-      above = above || dot(to, p->normal) > rounding;
-      above_triangle = above_triangle || dot(to, p->geometric_normal) > rounding;
-    }
-    const bool shines = record[17] > 0.0f || dot(corner, vload3(3, record)) < 1e-5f * largest(corner);
-    row |= (above && above_triangle && shines ? 1u : 0u) << light;
+#if LIGHT_COUNT > 1
+/* Where the strips of surfaces at (x, y, z) with this geometric normal, on the side that is lit, begin. One text for
+ * a shading point and for VEC hits. */
+#define DEFINE_STRIPS(name, number, integer, to_integer, choose, look_up)                                           \
+  integer name(global const float *restrict lights, const number x, const number y, const number z,                 \
+               const number normal_x, const number normal_y, const number normal_z) {                               \
+    global const float *restrict frame = lights + LIGHT_FRAME;                                                      \
+    const integer column = to_integer(clamp((x - frame[0]) * frame[3], (number)0.0f, (number)(frame[6] - 1.0f)));   \
+    const integer row = to_integer(clamp((y - frame[1]) * frame[4], (number)0.0f, (number)(frame[7] - 1.0f)));      \
+    const integer layer = to_integer(clamp((z - frame[2]) * frame[5], (number)0.0f, (number)(frame[8] - 1.0f)));    \
+    const number size_x = fabs(normal_x);                                                                           \
+    const number size_y = fabs(normal_y);                                                                           \
+    const number size_z = fabs(normal_z);                                                                           \
+    const integer along_x = (size_x >= size_y) && (size_x >= size_z);                                               \
+    const integer along_y = size_y >= size_z;                                                                       \
+    const number along = choose(choose(normal_z, normal_y, along_y), normal_x, along_x);                            \
+    const integer axis = choose(choose((integer)2, (integer)1, along_y), (integer)0, along_x);                      \
+    const integer direction = 2 * axis + choose((integer)0, (integer)1, along > 0.0f);                              \
+    const integer box = (layer * (int)frame[7] + row) * (int)frame[6] + column;                                     \
+    return FIRST_ROW + ROW_FLOATS * to_integer(look_up(lights, (int)frame[9] + 6 * box + direction));               \
   }
-  return lights + LIGHT_COUNT * (LIGHT_FLOATS + row * 2);
+
+DEFINE_STRIPS(hit_strips, real, whole, TO_WHOLE, SELECT, gather)
+#if VEC == 1
+#define point_strips hit_strips
+#else
+#define CHOOSE(if_false, if_true, condition) ((condition) ? (if_true) : (if_false))
+#define LOOK_UP(array, at) (array)[at]
+DEFINE_STRIPS(point_strips, float, int, convert_int, CHOOSE, LOOK_UP)
+#endif
+#endif
+
+whole strips_of(global const float *restrict lights, const triple position, const triple normal) {
+#if LIGHT_COUNT > 1
+  return hit_strips(lights, position.x, position.y, position.z, normal.x, normal.y, normal.z);
+#else
+  (void)position;
+  (void)normal;
+  return all_strips(lights);
+#endif
+}
+
+whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
+#if LIGHT_COUNT > 1
+  const float3 x = p->position;
+  const float3 n = p->geometric_normal;
+  return (whole)point_strips(lights, x.x, x.y, x.z, n.x, n.y, n.z);
 #else
   (void)p;
   return all_strips(lights);
 #endif
 }
 
-/* The light of `record` about a position, where `corner` is its corner. */
-LightView view_of(const triple corner, const triple normal, const triple across, const triple along, const real width,
-                  const real slope, const real length) {
-  return (LightView){fabs(dot_triple(corner, normal)), dot_triple(corner, across), width, dot_triple(corner, along),
-                     slope, length};
-}
-
-LightSample sample_lights(global const float *restrict lights, global const float *restrict strips,
-                          const triple position, const triple origin, const real u, const real v) {
-  LightSample found;
-  found.lit = (whole)0;
-  found.density = (real)0.0f;
-  found.towards = (triple){(real)0.0f, (real)0.0f, (real)0.0f};
-  found.segment = found.towards;
-  for (int channel = 0; channel < 3; ++channel) found.radiance[channel] = (real)0.0f;
-  for (int light = 0; light < LIGHT_COUNT; ++light) {
-    global const float *restrict record = lights + light * LIGHT_FLOATS;
-    const float3 corner = vload3(0, record);
-    const float3 edge1 = vload3(1, record);
-    const float3 edge2 = vload3(2, record);
-    const float3 normal = vload3(3, record);
-    const float first = strips[2 * light];
-    const float width = strips[2 * light + 1];
-    const real along = (u - first) / width;
-#if LIGHT_COUNT == 1
-    const whole here = (whole)(u >= 0.0f);
+/* The light that a row gives to u, as the place of its record; its strip. */
+INLINED whole light_at(global const float *restrict lights, const whole row, const real u, real *first, real *width) {
+#if LIGHT_COUNT > 1
+  const whole step = min(TO_WHOLE(u * (float)STRIP_STEPS), (whole)(STRIP_STEPS - 1));
+  const whole light = TO_WHOLE(gather(lights, row + step));
+  const whole strip = row + STRIP_STEPS + 2 * light;
+  *first = gather(lights, strip);
+  *width = gather(lights, strip + 1);
+  return light * LIGHT_FLOATS;
 #else
-    const whole here = (u >= first) && (u < first + width);
-    if (!ANY(here)) continue;
+  (void)lights;
+  (void)row;
+  (void)u;
+  *first = (real)0.0f;
+  *width = (real)1.0f;
+  return (whole)0;
 #endif
-    const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
-    const float3 half_way = 0.5f * (edge1 + edge2);
-    const triple middle = {begin.x + half_way.x, begin.y + half_way.y, begin.z + half_way.z};
-    /* From the point on the surface: what the integrand is made of. */
-    triple to = {begin.x + along * edge1.x + v * edge2.x, begin.y + along * edge1.y + v * edge2.y,
-                 begin.z + along * edge1.z + v * edge2.z};
-    const whole large = here && (dot_triple(middle, middle) < record[29]);
-    real solid_angle = (real)0.0f;
-    if (ANY(large)) {
-      const float3 e2 = vload3(0, record + 20);
-      const float3 e1 = vload3(0, record + 23);
-      const LightView view = view_of(begin, to_triple(normal), to_triple(e1), to_triple(e2), (real)record[27],
-                                     (real)record[28], (real)record[26]);
-      real x, y;
-      solid_angle = sample_view(&view, along, v, &x, &y);
-      /* In the light's frame: what a huge light's corners would round away is kept. */
-      const real height = dot_triple(begin, to_triple(normal));
-      to.x = SELECT(to.x, x * e1.x + y * e2.x + height * normal.x, large);
-      to.y = SELECT(to.y, x * e1.y + y * e2.y + height * normal.y, large);
-      to.z = SELECT(to.z, x * e1.z + y * e2.z + height * normal.z, large);
-    }
-    const real squared = max(dot_triple(to, to), (real)1e-30f);
-    const real inverse = rsqrt(squared);
-    const real emitted = -(normal.x * to.x + normal.y * to.y + normal.z * to.z) * inverse;
-    const real facing = record[17] > 0.0f ? fabs(emitted) : emitted;
-    const whole lit = here && (facing > 0.0f);
-    found.towards.x = SELECT(found.towards.x, to.x * inverse, lit);
-    found.towards.y = SELECT(found.towards.y, to.y * inverse, lit);
-    found.towards.z = SELECT(found.towards.z, to.z * inverse, lit);
-    const real stands_for = SELECT(facing * inverse * inverse * record[19], solid_angle, large);
-    for (int channel = 0; channel < 3; ++channel)
-      found.radiance[channel] = SELECT(found.radiance[channel], stands_for * (record[12 + channel] / width), lit);
-    found.density = SELECT(found.density, width / max(stands_for, (real)1e-30f), lit);
-    /* From the moved origin to a point off the light's plane, on the side the ray comes from. */
-    /* As light_offset. */
-    const real along_normal =
-        fabs(normal.x * position.x) + fabs(normal.y * position.y) + fabs(normal.z * position.z);
-    const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, (real)record[18]);
-    const real side = SELECT(-offset, offset, emitted > 0.0f);
-    found.segment.x = SELECT(found.segment.x, to.x + side * normal.x - (origin.x - position.x), lit);
-    found.segment.y = SELECT(found.segment.y, to.y + side * normal.y - (origin.y - position.y), lit);
-    found.segment.z = SELECT(found.segment.z, to.z + side * normal.z - (origin.z - position.z), lit);
-    found.lit = found.lit || lit;
-  }
-  return found;
 }
 
-/* Per solid angle, the density of directions from a position to lights of several records, each to a point at
- * `segment` from it that it sees under the cosine `facing`; zero for lights without a strip. */
-real light_density(global const float *restrict lights, const whole record, const triple position, const triple segment,
-                   const real facing) {
-  const triple corner = gather_triple(lights, record);
+/* Number `at` of the records of VEC lights. */
+INLINED real light_number(global const float *restrict lights, const whole record, const int at) {
+#if LIGHT_COUNT <= SELECTED_LIGHTS
+  real number = (real)lights[at];
+#pragma unroll
+  for (int light = 1; light < LIGHT_COUNT; ++light)
+    number = SELECT(number, (real)lights[light * LIGHT_FLOATS + at], record == light * LIGHT_FLOATS);
+  return number;
+#else
+  return gather(lights, record + at);
+#endif
+}
+
+INLINED triple light_triple(global const float *restrict lights, const whole record, const int at) {
+  return (triple){light_number(lights, record, at), light_number(lights, record, at + 1),
+                  light_number(lights, record, at + 2)};
+}
+
+/* The light of a record about a position, `begin` being its corner from there. */
+INLINED LightView light_view(global const float *restrict lights, const whole record, const triple begin, const triple normal,
+                     const triple across, const triple along) {
+  return (LightView){fabs(dot_triple(begin, normal)), dot_triple(begin, across), light_number(lights, record, 27),
+                     dot_triple(begin, along), light_number(lights, record, 28), light_number(lights, record, 26)};
+}
+
+INLINED LightSample sample_lights(global const float *restrict lights, const whole strips, const triple position,
+                          const triple origin, const real u, const real v) {
+#if LIGHT_COUNT == 0
+  (void)lights;
+  (void)strips;
+  (void)position;
+  (void)origin;
+  (void)u;
+  (void)v;
+  const triple none = {(real)0.0f, (real)0.0f, (real)0.0f};
+  return (LightSample){none, none, {(real)0.0f, (real)0.0f, (real)0.0f}, (real)0.0f, (whole)0};
+#else
+  real first, width;
+  const whole record = light_at(lights, strips, u, &first, &width);
+  const real along = (u - first) / width;
+  const triple corner = light_triple(lights, record, 0);
+  const triple edge1 = light_triple(lights, record, 3);
+  const triple edge2 = light_triple(lights, record, 6);
+  const triple normal = light_triple(lights, record, 9);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
-  const triple edge1 = gather_triple(lights, record + 3);
-  const triple edge2 = gather_triple(lights, record + 6);
+  const triple middle = {begin.x + 0.5f * (edge1.x + edge2.x), begin.y + 0.5f * (edge1.y + edge2.y),
+                         begin.z + 0.5f * (edge1.z + edge2.z)};
+  /* From the point on the surface: what the integrand is made of. */
+  triple to = {begin.x + along * edge1.x + v * edge2.x, begin.y + along * edge1.y + v * edge2.y,
+               begin.z + along * edge1.z + v * edge2.z};
+  const whole large = dot_triple(middle, middle) < light_number(lights, record, 29);
+  real solid_angle = (real)0.0f;
+  if (ANY(large)) {
+    const triple e2 = light_triple(lights, record, 20);
+    const triple e1 = light_triple(lights, record, 23);
+    const LightView view = light_view(lights, record, begin, normal, e1, e2);
+    real x, y;
+    solid_angle = sample_view(&view, along, v, &x, &y);
+    /* In the light's frame: what a huge light's corners would round away is kept. */
+    const real height = dot_triple(begin, normal);
+    to.x = SELECT(to.x, x * e1.x + y * e2.x + height * normal.x, large);
+    to.y = SELECT(to.y, x * e1.y + y * e2.y + height * normal.y, large);
+    to.z = SELECT(to.z, x * e1.z + y * e2.z + height * normal.z, large);
+  }
+  const real squared = max(dot_triple(to, to), (real)1e-30f);
+  const real inverse = rsqrt(squared);
+  const real emitted = -(normal.x * to.x + normal.y * to.y + normal.z * to.z) * inverse;
+  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, 17) > 0.0f);
+  const real stands_for = SELECT(facing * inverse * inverse * light_number(lights, record, 19), solid_angle, large);
+  LightSample found;
+  found.lit = facing > 0.0f;
+  found.towards = (triple){to.x * inverse, to.y * inverse, to.z * inverse};
+  for (int channel = 0; channel < 3; ++channel)
+    found.radiance[channel] = stands_for * (light_number(lights, record, 12 + channel) / width);
+  found.density = width / max(stands_for, (real)1e-30f);
+  /* From the moved origin to a point off the light's plane, on the side the ray comes from. */
+  /* As light_offset. */
+  const real along_normal = fabs(normal.x * position.x) + fabs(normal.y * position.y) + fabs(normal.z * position.z);
+  const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, light_number(lights, record, 18));
+  const real side = SELECT(-offset, offset, emitted > 0.0f);
+  found.segment.x = to.x + side * normal.x - (origin.x - position.x);
+  found.segment.y = to.y + side * normal.y - (origin.y - position.y);
+  found.segment.z = to.z + side * normal.z - (origin.z - position.z);
+  return found;
+#endif
+}
+
+/* The solid angle that a sample of a whole light stands for, of lights of several records, each at a point at `segment`
+ * from a position that sees it under the cosine `facing`. */
+real light_stands_for(global const float *restrict lights, const whole record, const triple position,
+                      const triple segment, const real facing) {
+  const triple corner = light_triple(lights, record, 0);
+  const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
+  const triple edge1 = light_triple(lights, record, 3);
+  const triple edge2 = light_triple(lights, record, 6);
   const triple middle = {FMA((real)0.5f, edge1.x + edge2.x, begin.x), FMA((real)0.5f, edge1.y + edge2.y, begin.y),
                          FMA((real)0.5f, edge1.z + edge2.z, begin.z)};
   const real squared = dot_triple(segment, segment);
-  real stands_for = facing / squared * gather(lights, record + 19);
-  const whole large = dot_triple(middle, middle) < gather(lights, record + 29);
+  real stands_for = facing / squared * light_number(lights, record, 19);
+  const whole large = dot_triple(middle, middle) < light_number(lights, record, 29);
   if (ANY(large)) {
-    const triple along = gather_triple(lights, record + 20);
-    const triple across = gather_triple(lights, record + 23);
-    const real width = gather(lights, record + 27);
-    const LightView view = view_of(begin, gather_triple(lights, record + 9), across, along, width,
-                                   gather(lights, record + 28), gather(lights, record + 26));
+    const triple along = light_triple(lights, record, 20);
+    const triple across = light_triple(lights, record, 23);
+    const LightView view = light_view(lights, record, begin, light_triple(lights, record, 9), across, along);
     const real x = dot_triple(segment, across);
     const LightLine line = light_line(&view, x, FMA(x - view.x0, view.slope, view.y0));
     stands_for = SELECT(stands_for, view_angle(&view) * line.range, large);
   }
-  return gather(lights, record + 16) / max(stands_for, (real)1e-30f);
+  return stands_for;
+}
+
+/* How wide the strips of several records are in their rows. */
+real strip_width(global const float *restrict lights, const whole strips, const whole record) {
+#if LIGHT_COUNT > 1
+  return gather(lights, strips + STRIP_STEPS + 1 + record / (LIGHT_FLOATS / 2));
+#else
+  (void)lights;
+  (void)strips;
+  (void)record;
+  return (real)1.0f;
+#endif
+}
+
+/* Per solid angle, the density of these directions; zero for lights without a strip. */
+real light_density(global const float *restrict lights, const whole strips, const whole record, const triple position,
+                   const triple segment, const real facing) {
+  const real stands_for = light_stands_for(lights, record, position, segment, facing);
+  return strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
 }

@@ -95,4 +95,5 @@ kernel void shading_points(global const float *restrict camera, const uint colum
     surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + 3 + i];
   }
   surface[ROW_ROUGHNESS * stride + point] = materials[material + 6];
+  surface[ROW_LOBE_SHARE * stride + point] = 0.0f;
 }

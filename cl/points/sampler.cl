@@ -20,11 +20,16 @@
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */
 
-/* One text for the scalar and the VEC-wide generator. `state` is the counter and becomes the output. */
-#define DEFINE_PHILOX(name, word)                                   \
+/* Upper halves of products: of one number the processor has them, where mul_hi may be made of 16-bit parts. */
+uint upper_half(const uint a, const uint b) { return (uint)(((ulong)a * b) >> 32); }
+
+/* One text for the scalar and the VEC-wide generator. `state` is the counter and becomes the output. Unrolled, so that
+ * compilers see that it is the same for all samples of a point. */
+#define DEFINE_PHILOX(name, word, mul_hi)                           \
   void name(word state[4], const uint key_low, const uint key_high) { \
     uint key0 = key_low;                                            \
     uint key1 = key_high;                                           \
+    _Pragma("unroll")                                               \
     for (int round = 0; round < 10; ++round) {                      \
       const word high0 = mul_hi(state[0], (word)0xD2511F53u);       \
       const word low0 = state[0] * (word)0xD2511F53u;               \
@@ -39,12 +44,12 @@
     }                                                               \
   }
 
-DEFINE_PHILOX(philox, bits)
-
 #if VEC == 1
+DEFINE_PHILOX(philox, uint, upper_half)
 #define philox_scalar philox
 #else
-DEFINE_PHILOX(philox_scalar, uint)
+DEFINE_PHILOX(philox, bits, mul_hi)
+DEFINE_PHILOX(philox_scalar, uint, upper_half)
 #endif
 
 /* The upper 24 bits as a float in [0, 1). */

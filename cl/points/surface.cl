@@ -15,6 +15,7 @@ typedef struct {
   float3 albedo;
   float3 reflectance;      /* at normal incidence */
   float roughness;
+  float lobe_share;        /* of the unit square, see lobe.cl; 0 until that is found */
 } ShadingPoint;
 
 float3 load_row3(global const float *restrict surface, const uint total_points, const uint row,
@@ -49,6 +50,7 @@ ShadingPoint load_shading_point(global const float *restrict surface, const uint
   p.albedo = load_row3(surface, total_points, ROW_ALBEDO, point);
   p.reflectance = load_row3(surface, total_points, ROW_REFLECTANCE, point);
   p.roughness = surface[ROW_ROUGHNESS * stride + point];
+  p.lobe_share = surface[ROW_LOBE_SHARE * stride + point];
   return p;
 }
 

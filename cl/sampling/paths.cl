@@ -52,8 +52,9 @@ whole is_shiny(const Scatterer *s) {
 kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
                         const uint sample_count, const uint stride, const uint max_depth,
                         global const uint *restrict order, global const float *restrict surface,
-                        global const float *restrict u, global const float *restrict v,
-                        global float *restrict radiance, const uint plane, global float *restrict wave) {
+                        global const float *restrict lights, global const float *restrict u,
+                        global const float *restrict v, global float *restrict radiance, const uint plane,
+                        global float *restrict wave) {
   const uint blocks = stride / VEC;
   const uint item = (uint)get_global_id(0);
   if (item >= point_count * blocks) return;
@@ -74,6 +75,7 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.density = (real)0.0f;
 #endif
   ray.path = LANE_NUMBER + (uint)at;
+  ray.strips = strips_at(lights, &p);
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
   /* Without emissive surfaces a path of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_EMISSION ? 1u : 2u;
@@ -151,16 +153,16 @@ triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y 
 
 /* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
  * the ray's `density` is. */
-triple light_met(global const float *restrict lights, const whole light, const triple origin, const triple direction,
-                 const real distance, const real density) {
+triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
+                 const triple direction, const real distance, const real density) {
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = -dot_triple(gather_triple(lights, record + 9), direction);
-  const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
+  const real emitted = -dot_triple(light_triple(lights, record, 9), direction);
+  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, 17) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
-  const real other = light_density(lights, record, origin, segment, max(facing, (real)1e-20f));
+  const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
   const real share = density / (density + other);
   const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
-  const triple amount = gather_triple(lights, record + 12);
+  const triple amount = light_triple(lights, record, 12);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
 
@@ -194,7 +196,13 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
-    const triple found = light_met(lights, light, origin, direction, distance, density);
+#if LIGHT_COUNT > 1
+    /* Lanes past the last ray hold anything. */
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, NEXT_STATE + 5) + first)), on_light);
+#else
+    const whole left = all_strips(lights);
+#endif
+    const triple found = light_met(lights, left, light, origin, direction, distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);
@@ -227,8 +235,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   real coordinates[5];
   sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
 
+  ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
-      sample_lights(lights, all_strips(lights), position, ray.origin, coordinates[0], coordinates[1]);
+      sample_lights(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);
@@ -244,6 +253,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
                                ray.throughput.z * f_r[2] * found.radiance[2] * scale};
   shadow.density = (real)0.0f;
   shadow.path = ray.path;
+  shadow.strips = ray.strips;
   const whole is_cast = lit && (largest_of(shadow.throughput) > 0.0f);
 #if CASTERS
   count_shadow_rays(is_cast, next_wave);

@@ -4,8 +4,8 @@
  *   0 origin (3), 3 direction (3) of the rays that go on, 6 origin (3), 9 direction (3) of shadow rays, as the host
  *   reads them; 12 triangle hit (int, -1: none), 13 and 14 barycentric u and v, 15 distance in multiples of the
  *   direction, 16 whether the shadow ray reached its light (bytes), as the host writes them; 17 throughput (3),
- *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path; 22 throughput (3) and
- *   25 path of shadow rays.
+ *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path, 22 the row of strips of
+ *   the surface it left, where there are several lights; 23 throughput (3) and 26 path of shadow rays.
  * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
  * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs.
  *
@@ -27,20 +27,24 @@
 #define NEXT_RAY 0
 #define NEXT_STATE 17
 #define SHADOW_RAY 6
-#define SHADOW_STATE 22
+#define SHADOW_STATE 23
 #define HIT 12
 #define LIT 16
+/* Numbers of a ray that goes on. */
+#define ROWS_OF_RAY (LIGHT_COUNT > 1 ? 12 : 11)
 #define PLANE(wave, number) ((wave) + HEADER + (number) * (ulong)plane)
 
 typedef struct {
   triple origin, direction, throughput;
   bits path;
   real density;
+  whole strips;
 } Ray;
 
-/* Appends the rays of lanes that are alive to those that `count_at` counts; shadow rays leave their density out. */
+/* Appends the rays of lanes that are alive to those that `count_at` counts; shadow rays leave their density and
+ * strips out. */
 void append_rays(const Ray *ray, const whole alive, const int is_shadow, const uint plane, global float *restrict wave) {
-  float number[11][VEC];
+  float number[ROWS_OF_RAY][VEC];
   int is_alive[VEC];
   uint source[VEC + 1];
   STORE(alive, is_alive);
@@ -56,9 +60,13 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
   const uint at = atomic_add(ray_count, count);
   global float *restrict to = PLANE(wave, is_shadow ? SHADOW_RAY : NEXT_RAY) + at;
   global float *restrict state = PLANE(wave, is_shadow ? SHADOW_STATE : NEXT_STATE) + at;
-  const real numbers[11] = {ray->origin.x,     ray->origin.y,     ray->origin.z,     ray->direction.x,
-                            ray->direction.y,  ray->direction.z,  ray->throughput.x, ray->throughput.y,
-                            ray->throughput.z, ray->density,      AS_REAL(ray->path)};
+  const real numbers[ROWS_OF_RAY] = {ray->origin.x,     ray->origin.y,     ray->origin.z,     ray->direction.x,
+                                     ray->direction.y,  ray->direction.z,  ray->throughput.x, ray->throughput.y,
+                                     ray->throughput.z, ray->density,      AS_REAL(ray->path)
+#if LIGHT_COUNT > 1
+                                     , AS_REAL(ray->strips)
+#endif
+  };
   if (count == VEC) {
 #pragma unroll
     for (uint row = 0; row < 6; ++row) STORE(numbers[row], to + row * (ulong)plane);
@@ -66,10 +74,13 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
     for (uint row = 0; row < 3; ++row) STORE(numbers[6 + row], state + row * (ulong)plane);
     if (!is_shadow) STORE(numbers[9], state + 3 * (ulong)plane);
     STORE(numbers[10], state + (is_shadow ? 3 : 4) * (ulong)plane);
+#if LIGHT_COUNT > 1
+    if (!is_shadow) STORE(numbers[11], state + 5 * (ulong)plane);
+#endif
     return;
   }
 #pragma unroll
-  for (uint row = 0; row < 11; ++row) STORE(numbers[row], number[row]);
+  for (uint row = 0; row < ROWS_OF_RAY; ++row) STORE(numbers[row], number[row]);
   for (uint i = 0; i < count; ++i) {
     const uint lane = source[i];
 #pragma unroll
@@ -78,6 +89,9 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
     for (uint row = 0; row < 3; ++row) state[row * (ulong)plane + i] = number[6 + row][lane];
     if (!is_shadow) state[3 * (ulong)plane + i] = number[9][lane];
     state[(is_shadow ? 3 : 4) * (ulong)plane + i] = number[10][lane];
+#if LIGHT_COUNT > 1
+    if (!is_shadow) state[5 * (ulong)plane + i] = number[11][lane];
+#endif
   }
 }
 

@@ -116,6 +116,13 @@ class Integrand:
                 f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
             )
 
+    def point_kernel(self, scene: Scene) -> str | None:
+        """The kernel of `files`, if any, that adds to every shading point what its samples share.
+
+        It takes the numbers of active points and of all, their `surface`, and `data`.
+        """
+        return None
+
     def _check_declared(self) -> None:
         """Raise if an attribute of the class is missing or wrong."""
         own = type(self).__name__

@@ -66,7 +66,7 @@ class GlobalIllumination(Integrand):
                 f"{scene.name} has no light, so global illumination is zero everywhere: "
                 "add a [[lights]] entry to the scene, or give a material an emission"
             )
-        return light_records(scene.lights)
+        return light_records(scene)
 
     def defines(self, scene: Scene) -> dict[str, int]:
         return {

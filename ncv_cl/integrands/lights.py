@@ -2,131 +2,219 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from ..points.points import RELATIVE_OFFSET
-from ..scene.load import QuadLight, Scene
+from ..scene.load import Scene
+from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
 LIGHT_FLOATS = 32
+# Floats between the records and the rows of strips: the cells' grid and where their table is.
+FRAME_FLOATS = 16
 # Lights whose sides make less than this part of the distance to their middle (the root of the sum of
 # squares) are sampled by area. Tried on the shipped scenes from 1/4 to 2: by less, samples of those
 # where shadows are all of the error cost more than they gain.
 SMALL_LIGHT = 1.0
-# Cells of the dyadic grid that strips are made of, at least; and cells a light, at least.
-FEWEST_CELLS = 16
-CELLS_A_LIGHT = 4
-# Of more lights than so many all have strips at every point.
-MOST_CHOSEN = 8
+# Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
+FEWEST_STEPS = 16
+STEPS_A_LIGHT = 4
+# Part of the unit square that all lights share alike: one step a light. With half of it the variance of
+# `interior` is 1.7 times as large and that of a hall of 1,000 lamps 2.4 times (bench_lights.py); with
+# less a light would be left out, or steps would be finer than those of few Sobol points.
+EQUAL_PART = 0.25
+# Boxes along a scene's longest extent, the most for which rows and what finds them fit.
+SIDES = (32, 16, 8, 4, 2, 1)
+ROW_FLOATS_AT_MOST = 1 << 23
+PAIRS_AT_MOST = 1 << 22
 
 
-def strip_widths(power: np.ndarray) -> np.ndarray:
-    """Each light's share of the unit square's u axis, by `power_of` each, float64 (lights,), of sum 1.
+def strip_widths(brings: np.ndarray) -> np.ndarray:
+    """Each light's share of the unit square's u axis, float64 of the shape of `brings`, of sum 1.
 
-    One half of the square is shared out by emitted power, the other alike: so no light has less than
-    half of an equal share, however bright another is that may not even be seen. Lights without power
-    have none. Strips consist of whole cells, a power of two of them, 16 for up to 4 lights: at least 4 a
-    light, so that each has 2 or more when shares are rounded (by largest remainders). The first so many
-    Sobol points are spread evenly over dyadic intervals, so strips that begin and end on such a grid get
-    their share of points, and get them well spread; others do not. Float32 holds these numbers exactly.
+    Parameters
+    ----------
+    brings : ndarray
+        float64 (..., lights): what each light brings, in any unit; 0 where it is certain that it brings
+        nothing, and a tiny number where that is but likely.
+
+    Notes
+    -----
+    `EQUAL_PART` of the square is shared out alike, the rest by what lights bring: so no light has less
+    than that part of an equal share, however bright another is that may not even be seen. Lights that
+    bring nothing have none. Strips consist of whole steps, a power of two of them, 16 for up to 4 lights
+    and at least 4 a light, so that each has one or more when shares are rounded (by largest remainders).
+    The first so many Sobol points are spread evenly over dyadic intervals, so strips that begin and end
+    on such a grid get their share of points, and get them well spread; others do not. Float32 holds
+    these numbers exactly.
     """
     # Where all is dark it does not matter, nor where float64 overflows, which is refused later.
-    power = np.nan_to_num(power) if power.any() else np.ones(len(power))
-    shining = power > 0
-    count = np.count_nonzero(shining)
-    cells = max(FEWEST_CELLS, 1 << int(CELLS_A_LIGHT * count - 1).bit_length())
+    brings = np.nan_to_num(brings)
+    brings = np.where((brings > 0).any(axis=-1, keepdims=True), brings, 1.0)
+    shining = brings > 0
+    count = np.count_nonzero(shining, axis=-1, keepdims=True)
     # By the largest first, or the sum might leave float64's range.
-    relative = power / power.max()
-    share = 0.5 * cells * (relative / relative.sum() + shining / count)
+    relative = brings / brings.max(axis=-1, keepdims=True)
+    relative /= relative.sum(axis=-1, keepdims=True)
+    steps = _steps(count)
+    share = steps * ((1.0 - EQUAL_PART) * relative + EQUAL_PART * shining / count)
     width = np.floor(share)
-    rest = int(cells - width.sum())
-    width[np.argsort(width - share, kind="stable")[:rest]] += 1
-    return width / cells
+    rest = steps - width.sum(axis=-1, keepdims=True)
+    order = np.argsort(width - share, axis=-1, kind="stable")
+    more = np.arange(width.shape[-1]) < rest
+    np.put_along_axis(width, order, np.take_along_axis(width, order, -1) + more, -1)
+    return width / steps
 
 
-def power_of(light: QuadLight) -> float:
-    """What a light emits, mean of the channels, over pi."""
-    return float(light.area * np.mean(light.radiance) * (1 + light.two_sided))
+@dataclass(frozen=True)
+class LightRows:
+    """How the unit square is dealt out to the lights, by cells of the scene.
 
-
-def strip_rows(lights: tuple[QuadLight, ...]) -> np.ndarray:
-    """Where strips begin and how wide they are, float64 (rows, lights, 2).
-
-    Of two to `MOST_CHOSEN` lights there is a row for every choice of them, light k chosen in those whose
-    number has bit k: lights that cannot light a point take nothing of its square, and the others have
-    strips as if they were alone, on the grid. The row of none is that of all; so is the only row of more
-    lights.
+    Attributes
+    ----------
+    widths : ndarray
+        float64 (rows, lights), the strips' widths in each row; row 0 goes by power alone.
+    table : ndarray
+        int64 (cells.table_length,), the row of each cell; 0 where no light may light it, or nothing is.
+    cells : Cells
     """
-    count, rows = len(lights), _choices(len(lights))
-    power = np.array([power_of(light) for light in lights])
-    strips = np.zeros((rows, count, 2))
-    for row in range(rows):
-        chosen = [k for k in range(count) if rows == 1 or row == 0 or row >> k & 1]
-        widths = strip_widths(power[chosen])
-        strips[row, chosen] = np.stack([np.cumsum(widths) - widths, widths], axis=1)
-    return strips
+
+    widths: np.ndarray
+    table: np.ndarray
+    cells: Cells
+
+    @property
+    def strips(self) -> np.ndarray:
+        """Where strips begin and how wide they are, float64 (rows, lights, 2)."""
+        return np.stack([np.cumsum(self.widths, axis=1) - self.widths, self.widths], axis=2)
 
 
-def light_records(lights: tuple[QuadLight, ...]) -> np.ndarray:
-    """What lights.cl reads of the lights, float32 (floats,): their records, then `strip_rows`."""
-    if not lights:
+_ROWS: WeakKeyDictionary[Scene, LightRows] = WeakKeyDictionary()
+_RECORDS: WeakKeyDictionary[Scene, np.ndarray] = WeakKeyDictionary()
+
+
+def light_rows(scene: Scene) -> LightRows:
+    """The rows of a scene of two lights or more, made once."""
+    if scene not in _ROWS:
+        _ROWS[scene] = _light_rows(scene)
+    return _ROWS[scene]
+
+
+def _light_rows(scene: Scene) -> LightRows:
+    count, lights = len(scene.lights), Lights.of(scene.lights)
+    most = min(ROW_FLOATS_AT_MOST // _row_floats(count), PAIRS_AT_MOST // count)
+    cells = next(
+        cells for side in SIDES if len((cells := scene_cells(scene, side)).number) <= most or side == 1
+    )
+    may = may_light(cells, lights) & (lights.power > 0)
+    lit = may.any(axis=1)
+    may, brings = may[lit], mean_irradiance(cells.only(lit), lights)
+    # Those that may light a cell but bring nothing to its places have their equal part.
+    most = brings.max(axis=1, keepdims=True, where=may, initial=0.0)
+    brings = np.where(may, np.maximum(brings, np.where(most > 0, 1e-30 * most, 1.0)), 0.0)
+    widths, row = np.unique(strip_widths(brings), axis=0, return_inverse=True)
+    table = np.zeros(cells.table_length, np.int64)
+    table[cells.number[lit]] = row.ravel() + 1
+    return LightRows(np.concatenate([strip_widths(lights.power)[None], widths]), table, cells)
+
+
+def light_records(scene: Scene) -> np.ndarray:
+    """What lights.cl reads of the lights, float32 (floats,), made once.
+
+    Their records; of two or more also the frame of the cells, rows of strips, and each cell's row.
+    """
+    if scene not in _RECORDS:
+        _RECORDS[scene] = _light_records(scene)
+    return _RECORDS[scene]
+
+
+def _light_records(scene: Scene) -> np.ndarray:
+    count = len(scene.lights)
+    if not count:
         return np.zeros(0, np.float32)
-    rows = strip_rows(lights)
-    records = [_light_record(light, strip) for light, strip in zip(lights, rows[-1], strict=True)]
-    return np.concatenate([*records, rows.astype(np.float32).ravel()])
+    records = _records_of(Lights.of(scene.lights))
+    if count == 1:
+        return records
+    rows = light_rows(scene)
+    steps = int(_steps(count))
+    # Which light each step of the square belongs to.
+    owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
+    strips = rows.strips.reshape(len(rows.widths), -1)
+    each = np.concatenate([owner.reshape(-1, steps), strips], axis=1)
+    frame = np.zeros(FRAME_FLOATS)
+    frame[:9] = *rows.cells.lower, *rows.cells.inverse, *rows.cells.counts
+    frame[9] = len(records) + FRAME_FLOATS + each.size
+    parts = (records, frame, each.ravel(), rows.table)
+    return np.concatenate([part.astype(np.float32) for part in parts])
 
 
 def light_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of lights.cl."""
     count = len(scene.lights)
-    return {"LIGHT_COUNT": count, "LIGHT_FLOATS": LIGHT_FLOATS, "STRIP_ROWS": _choices(count)}
-
-
-def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """As `Integrand.emitted`, for area lights."""
-    radiance = np.array([one.radiance for one in scene.lights], np.float32)
-    normals = np.array([one.normal for one in scene.lights], np.float32)
-    two_sided = np.array([one.two_sided for one in scene.lights])
-    front = np.einsum("pi,ip->p", normals[light], outgoing) > 0
-    return radiance[light] * (front | two_sided[light])[:, None]
+    return {
+        "LIGHT_COUNT": count,
+        "LIGHT_FLOATS": LIGHT_FLOATS,
+        "FRAME_FLOATS": FRAME_FLOATS,
+        "STRIP_STEPS": int(_steps(count)),
+    }
 
 
 def narrowest_strip(scene: Scene) -> float:
     """The narrowest part of the unit square that one light has to itself; 1 without lights."""
-    if not scene.lights:
-        return 1.0
-    widths = strip_rows(scene.lights)[..., 1]
+    widths = light_rows(scene).widths if len(scene.lights) > 1 else np.ones((1, 1))
     return float(widths[widths > 0].min(initial=1.0))
 
 
-def _choices(lights: int) -> int:
-    return 1 << lights if 2 <= lights <= MOST_CHOSEN else 1
+def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """As `Integrand.emitted`, for area lights."""
+    if not len(light):
+        return np.zeros((0, 3), np.float32)
+    lights = Lights.of(scene.lights)
+    front = np.einsum("pi,ip->p", lights.normal.astype(np.float32)[light], outgoing) > 0
+    radiance = lights.radiance.astype(np.float32)
+    return radiance[light] * (front | lights.two_sided[light])[:, None]
 
 
-def _light_record(light: QuadLight, strip: np.ndarray) -> np.ndarray:
-    edges = np.abs(np.asarray([light.edge1, light.edge2], np.float64)).sum(axis=0)
-    centre = np.abs(light.corner + 0.5 * (np.asarray(light.edge1, np.float64) + light.edge2))
-    edge1, edge2 = (np.asarray(edge, np.float64) for edge in (light.edge1, light.edge2))
-    length = np.linalg.norm(edge2)
-    along = edge2 / length
+def _steps(count: np.ndarray | int) -> np.ndarray:
+    """Steps of the grid of strips of so many lights."""
+    needed = np.maximum(STEPS_A_LIGHT * np.asarray(count), FEWEST_STEPS)
+    return 1 << np.frexp(needed - 1.0)[1].astype(np.int64)
+
+
+def _row_floats(count: int) -> int:
+    return int(_steps(count)) + 2 * count
+
+
+def _records_of(lights: Lights) -> np.ndarray:
+    """float32 (lights * LIGHT_FLOATS,)."""
+    edge1, edge2 = lights.edges.transpose(1, 0, 2)
+    reach = np.abs(lights.edges).sum(axis=1)
+    centre = np.abs(lights.corner + 0.5 * (edge1 + edge2))
+    length = np.linalg.norm(edge2, axis=1)
+    along = edge2 / length[:, None]
     vector_area = np.cross(edge1, edge2)
-    across = np.cross(along, vector_area / np.linalg.norm(vector_area))
-    record = [
-        *light.corner,
-        *light.edge1,
-        *light.edge2,
-        *light.normal,
-        *light.radiance,
-        *strip,
-        float(light.two_sided),
-        RELATIVE_OFFSET * float(np.abs(light.normal) @ (centre + edges)),
-        light.area,
-        *along,
-        *across,
+    across = np.cross(along, vector_area / np.linalg.norm(vector_area, axis=1, keepdims=True))
+    width = (edge1 * across).sum(axis=1)
+    unused = np.zeros((len(length), 2))
+    columns = (
+        lights.corner,
+        edge1,
+        edge2,
+        lights.normal,
+        lights.radiance,
+        unused,
+        lights.two_sided,
+        RELATIVE_OFFSET * (np.abs(lights.normal) * (centre + reach)).sum(axis=1),
+        lights.area,
+        along,
+        across,
         length,
-        edge1 @ across,
-        (edge1 @ along) / (edge1 @ across),
-        (edge1 @ edge1 + edge2 @ edge2) / SMALL_LIGHT**2,
-        0.0,
-        0.0,
-    ]
-    return np.array(record, np.float32)
+        width,
+        (edge1 * along).sum(axis=1) / width,
+        (lights.edges**2).sum(axis=(1, 2)) / SMALL_LIGHT**2,
+        unused,
+    )
+    records = np.concatenate([np.reshape(column, (len(length), -1)) for column in columns], axis=1)
+    return records.astype(np.float32).ravel()

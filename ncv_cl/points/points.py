@@ -21,6 +21,7 @@ _ROWS = {
     "ALBEDO": 3,
     "REFLECTANCE": 3,
     "ROUGHNESS": 1,
+    "LOBE_SHARE": 1,
 }
 ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
 ROW_COUNT = sum(_ROWS.values())

@@ -12,7 +12,7 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.shaft import Occluders
+from ..visibility.shaft import Occluders, shafts_pay
 
 
 def prepare(
@@ -45,7 +45,8 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    if integrand.to_lights and settings.sampling.visibility == "auto" and points.active:
+    looked_for = settings.sampling.visibility == "auto" and shafts_pay(scene)
+    if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
             occluders = Occluders(device, scene, points, integrand)
     source = sample_source(

@@ -24,7 +24,7 @@ UNLIMITED = 1 << 30
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
 # Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
-PLANES, HOST_PLANES = 26, 17
+PLANES, HOST_PLANES = 27, 17
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
 RADIANCE_FLOATS = 4
 # Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
@@ -258,6 +258,7 @@ class PathSource(SampleSource):
             self._max_depth,
             batch.order,
             self.points.surface,
+            self._data,
             batch.u,
             batch.v,
             self._radiance,

@@ -188,6 +188,11 @@ class SampleSource(Batches):
             self._occluders = [occluders.stride, occluders.lists, occluders.corners]
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
+        point_kernel = integrand.point_kernel(scene)
+        if point_kernel is not None:
+            self._program.kernel(point_kernel)(
+                points.active, points.active, points.total, points.surface, self._data
+            )
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
         capacity = self._capacity

@@ -17,10 +17,18 @@ BRANCH = 16
 MOST_OCCLUDERS = (63, 31, 15)
 LIST_BYTES = 1 << 28
 TOO_MANY = 0xFFFFFFFF
+# Of more lights the shafts are not looked for: they cost by their number, and together hold something
+# nearly everywhere, so that rays are traced all the same (a hall with pillars: as fast either way at 8).
+MOST_LIGHTS = 8
 # Blocks of VEC rays of one point that one work-item draws and tests.
 BLOCKS_A_ITEM = 4
 # What rounding moves corners and planes by, of the largest coordinate.
 TOLERANCE = 16 * 2.0**-24
+
+
+def shafts_pay(scene: Scene) -> bool:
+    """Whether looking for occluders is likely to cost less than the rays that it spares."""
+    return len(scene.lights) <= MOST_LIGHTS
 
 
 class Occluders:
