@@ -174,7 +174,7 @@ class ArrangementStage:
 
 
 class ClippingStage:
-    """Integrates by cutting polygons, one work-item a point: slow, and sure.
+    """Integrates by cutting polygons, one work-item a point: slow, but no arrangement can fail.
 
     Parameters
     ----------

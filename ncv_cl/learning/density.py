@@ -1,4 +1,4 @@
-"""Where the residual is: a learned sampling density and magnitude for every shading point."""
+"""The residual's magnitude over the square, learned: every point's sampling density and mean."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ class DensitySettings:
     beta1, beta2, epsilon : float
         Adam's constants.
     uniform_share : float
-        Part of every density that is uniform, so that nothing overlooked gets a large weight.
+        Part of every density that is uniform, which bounds the weight of a sample where the network
+        predicts too little.
     """
 
     hidden: int = tuning.DENSITY_HIDDEN
@@ -107,7 +108,7 @@ class DensityNetwork:
     settings: DensitySettings
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The numbers, as they are kept in a network's file."""
+        """The arrays that are saved in the control variate's file."""
         return {
             "density_parameters": self.parameters,
             "density_features": np.stack([self.feature_mean, self.feature_scale]),
@@ -118,7 +119,7 @@ class DensityNetwork:
 
     @classmethod
     def load(cls, path: str | Path) -> DensityNetwork | None:
-        """What `arrays` put into a network's file; None where there is none.
+        """The density network of a control variate's file; None if the file has none.
 
         Raises
         ------
@@ -135,7 +136,7 @@ class DensityNetwork:
     def of_arrays(
         cls, arrays: Mapping[str, np.ndarray], description: NetworkDescription
     ) -> DensityNetwork | None:
-        """What `arrays` put beside a network of this description; None where there is none.
+        """The density network among the arrays of a file of this description; None if there is none.
 
         Raises
         ------
@@ -222,7 +223,7 @@ def tabulate(
 
 
 class DensityTrainer:
-    """Learns the magnitude of f - g over (u, v) and phi from the control variate's own training samples.
+    """Learns the magnitude of f - g from the control variate's own training samples.
 
     Parameters
     ----------
@@ -278,7 +279,7 @@ class DensityTrainer:
         return build(self.device, ("common", "mlp", "density"), defines)
 
     def _start(self, features: int) -> np.ndarray:
-        """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
+        """Random start: He-uniform units, and rows so small that e is near the samples' RMS."""
         hidden = self.settings.hidden
         generator = host_generator(0, HostStream.DENSITY)
         layout = self.settings.parameters(features)
@@ -333,7 +334,7 @@ class DensityTrainer:
         )
 
     def gradients(self, sample: int, first: int, count: int) -> int:
-        """Enqueue one step's gradients; returns how many rows of partial sums they are."""
+        """Enqueue one step's gradients; returns the number of rows of partial sums."""
         samples, lanes = self._samples, self.device.lanes
         groups = min(GRADIENT_GROUPS, count)
         self._program.kernel("density_gradients")(

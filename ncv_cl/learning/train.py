@@ -40,7 +40,7 @@ RATES = Record("RATE", dict.fromkeys(("network", "table", "correction1", "correc
 def minibatches(count: int, columns: int) -> list[range]:
     """`count` columns cut into runs of about `columns`, of whole tiles of CPUs but for the last.
 
-    A run that ended a column into a tile would keep one thread busy with it while the others wait.
+    If a run ended one column into a tile, one thread would do that tile while the others wait.
     """
     width = min(tuning.CPU_TILE, columns)
     tiles = -(-count // width)
@@ -50,7 +50,7 @@ def minibatches(count: int, columns: int) -> list[range]:
 
 @dataclass(frozen=True)
 class TrainingSamples:
-    """What a `Trainer` keeps of its samples, one column a shading point.
+    """The samples that a `Trainer` holds, one column a shading point.
 
     Attributes
     ----------
@@ -94,9 +94,10 @@ class Trainer:
     factor : HostArray, optional
         float32 (channels, points.active), what a demodulated network's output is multiplied by.
     previous : Trainer, optional
-        Of the same description, on other samples: its parameters and their moments go on, `network`
-        itself is not looked at. The learning rate starts anew, as in stochastic gradient descent with
-        warm restarts (Loshchilov and Hutter 2017); the grid's moments do, since theirs are short.
+        A trainer of a network of the same description on other samples. This one starts from its
+        parameters and their moments, and not from `network`. The learning rate starts anew, as in
+        stochastic gradient descent with warm restarts (Loshchilov and Hutter 2017), and so do the grid's
+        moments, whose memory is short.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class Trainer:
             self._set_factors(np.full((channels, count), self._scale, np.float32))
 
     def _set_factors(self, factor: np.ndarray | None) -> None:
-        """Factors by column, and from them the weights; without factors one for all comes with `fit`."""
+        """Set the factors of all columns and the weights; without factors `fit` sets a common one."""
         count, power = self._encoder.count, self.settings.weight_power
         self._has_factors = factor is not None
         if factor is None:
@@ -174,7 +175,7 @@ class Trainer:
                 view[:, :count], view[:, count:] = values, 0.0
 
     def store(self, batch: Batch, first_sample: int) -> None:
-        """Keep a batch's samples as number `first_sample` and on of their points."""
+        """Keep a batch: samples number `first_sample` and on of its points."""
         self._program.kernel("store_samples")(
             len(batch.points) * batch.stride // self.device.vector_width,
             first_point=batch.points.start,
@@ -194,11 +195,11 @@ class Trainer:
             target=self._target,
         )
 
-    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
-        """All epochs over the stored samples, as one of `rounds` such calls; returns the mean loss.
+    def fit(self, parts: int = 1, check: Callable[[], None] | None = None) -> float:
+        """Train all epochs on the stored samples, as one of `parts` such calls; returns the mean loss.
 
-        The loss is the mean over the last pass's steps at the end of each stored sample. `check` is
-        called now and then, and may raise.
+        The loss is the last minibatch's, averaged over the last epoch. `check` is called now and then,
+        and may raise.
         """
         if not self._has_factors:
             self._set_common_factor()
@@ -207,7 +208,7 @@ class Trainer:
         starts = range(0, self.samples - step + 1, step)
         numbers = range(len(self._batches))
         order = [(sample, n) for _ in range(settings.epochs) for sample in starts for n in numbers]
-        self._bind(*self._plan(order, rounds * len(order)))
+        self._bind(*self._plan(order, parts * len(order)))
         losses = []
         for number, (_, batch) in enumerate(order):
             self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
@@ -237,12 +238,12 @@ class Trainer:
         return Network(description, parameters, self._table.read(), self._start.cube)
 
     def samples_of(self, network: Network) -> TrainingSamples:
-        """The samples stored last, with features as `network`, a result of this training, sees them."""
+        """The samples stored last, with the features that `network`, a result of this training, gets."""
         self._encoder.encode_grid(HostArray.of(self.device, network.table))
         return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def _set_common_factor(self) -> None:
-        """The integrand's mean size for all: rates and losses do not depend on the scene's units."""
+        """Take the integrand's mean magnitude as every factor: losses do not depend on the units."""
         count = self._encoder.count
         with self._target.mapped() as target:
             mean = float(np.mean(np.abs(target[:, :, :count]), dtype=np.float64))
@@ -251,7 +252,7 @@ class Trainer:
         self._set_factors(np.full((channels, count), self._scale, np.float32))
 
     def _plan(self, order: list[tuple[int, int]], total: int) -> tuple[HostArray, HostArray]:
-        """What differs between steps of `order` (first sample, minibatch), as the kernels read it."""
+        """The kernels' plan and rates, a row for each step of `order`, (first sample, minibatch)."""
         settings = self.settings
         sample, batch = np.array(order).T
         columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
@@ -307,7 +308,7 @@ class Trainer:
             grid_gradient=self._grid_gradient,
             table=self._table.state,
         )
-        # The kernels do not keep the arrays alive.
+        # The kernels do not keep these arrays alive, so this object does.
         self._bound = plan, rates
 
     def _build(self) -> Program:

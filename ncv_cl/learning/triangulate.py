@@ -30,9 +30,9 @@ RECORD_PADDING = 16
 class TriangleWarp(Warp):
     """Density linear on the triangles into which the network's first layer cuts each point's square.
 
-    The magnitude at the triangles' corners is that of `density`'s tables, so both densities know the
-    same. Records are built for the points of one batch at a time: they are too large to keep for all
-    (some 5 kB each for 16 lines).
+    The magnitude at the triangles' corners is read off `density`'s tables. Records are built for the
+    points of one batch at a time, since they are too large to be kept for all (some 5 kB each for 16
+    lines).
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ class Encoding:
     Attributes
     ----------
     inputs : tuple of str
-        Which of `INPUTS` are fed. Position is always among them.
+        Which of `INPUTS` the network gets. Position is always one of them.
     grid_levels, grid_features, grid_base, grid_entries : int
         The hash grid over position: levels, features a level, cells an axis of the coarsest level
         (each next one has twice as many), table entries a level.
@@ -44,7 +44,7 @@ class Encoding:
     blob_bins: int = 4
 
     def __post_init__(self) -> None:
-        # Whatever a file says ends up in kernels' constants.
+        # A network's file sets these, and they become constants of kernels: so they are checked.
         some_of("inputs", self.inputs, INPUTS)
         if "position" not in self.inputs:
             raise ValueError(f"inputs must hold position, are {self.inputs!r}")
@@ -127,8 +127,9 @@ class GridCube:
     def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
         """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
 
-        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
-        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        In world space. The finest cells are a fixed part of the cube, so around a ground that reaches to
+        the horizon everything in view would lie in one cell. A few points may lie outside the cube; they
+        count as on its sides.
         """
         whole = cls.around(bounds)
         if not points.active:
@@ -274,7 +275,7 @@ class GridIndex:
         parts: list[list[np.ndarray]] = [[], [], [], []]
         self.batches = []
         entries = pairs = 0
-        # Batch by batch, so that what is sorted and gathered stays in the cache.
+        # One minibatch at a time, so that what is sorted stays in the cache.
         for batch in batches:
             own = slice(batch.start, batch.stop)
             entry, starts, number = _by_entry(corner[:, own])

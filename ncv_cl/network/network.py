@@ -28,14 +28,14 @@ from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from .encode import Encoding, GridCube
 
-# What exact integration and the kernels bear.
+# The widest hidden layer, and the most channels, that exact integration and the kernels take.
 WIDEST, MOST_CHANNELS = 128, 256
 # Points whose features are held at a time while they are folded.
 POINTS_PER_FOLD = 1 << 16
 
 
 class NetworkError(ValueError):
-    """A network that does not fit: a bad file, or other features than the scene's."""
+    """A network that cannot be used: a bad file, or inputs or channels that do not fit the scene."""
 
 
 # Groups of weights that φ may act on, in the order of their rows; W2 is the same for all points.
@@ -44,7 +44,7 @@ WEIGHT_GROUPS = ("W1", "B1", "B2", "W3", "B3")
 
 @dataclass(frozen=True)
 class NetworkDescription:
-    """All that fixes the network but its numbers; training, inference and integration follow it.
+    """The shape of a network: all but its numbers.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class NetworkDescription:
         return w2, heads, parameters[bases_at:]
 
     def base(self, parameters: np.ndarray, group: str) -> np.ndarray:
-        """View of a group's base: what it is where all features are zero."""
+        """View of a group's base, its value where all features are zero."""
         _, heads, bases = self.unpack(parameters)
         rows, shape = self.group_rows[group], self.group_shapes[group]
         count = math.prod(shape)
@@ -231,7 +231,7 @@ class Network:
         Parameters
         ----------
         companions : ndarray
-            Arrays of what was trained beside the network, kept in the same file under their names.
+            Further arrays for the same file, by name: the density network's.
         """
         write_whole(path, lambda file: self.write(file, **companions))
 
@@ -248,7 +248,7 @@ class Network:
         Raises
         ------
         NetworkError
-            If the file is none of ours or its arrays do not fit its description.
+            If the file is not a network's, or its arrays do not fit its description.
         """
         try:
             return cls.of_arrays(read_arrays(path))
@@ -269,7 +269,7 @@ class Network:
         stored = record_of(about["description"], "description", names)
         names = (field.name for field in fields(Encoding))
         encoding = record_of(stored["encoding"], "encoding", names)
-        # JSON knows lists only; what else these are is checked where they are used.
+        # JSON has lists only; their elements are checked where they are used.
         lists = {"inputs": encoding["inputs"]} | {k: stored[k] for k in ("hidden", "modulated")}
         if not all(isinstance(one, list) for one in lists.values()):
             raise ValueError("inputs, hidden and modulated must be lists")

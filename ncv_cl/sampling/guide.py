@@ -1,4 +1,4 @@
-"""Where light comes from, everywhere in a scene: densities that guide the bounces behind the first."""
+"""Densities that guide bounces behind the first: from where light arrives, in each cell of the scene."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def guide_defines() -> dict[str, int]:
 
 
 class Guide(NamedTuple):
-    """What guides paths.
+    """Densities that guide bounces, and mean radiances.
 
     Attributes
     ----------
@@ -75,7 +75,8 @@ class GuideRecorder:
     def guide(self) -> Guide:
         """Densities as the root mean square of the radiance, and means.
 
-        A part of which few samples are known leans on its cell's mean, and a cell on that of all.
+        A part of the square with few samples is averaged with its cell's mean, and a cell with few
+        samples with the mean of all cells.
         """
         prior, uniform = tuning.GUIDE_PRIOR_SAMPLES, tuning.GUIDE_UNIFORM_SHARE
         count, second = self.count.reshape(GUIDE_CELLS, BINS), self.second.reshape(GUIDE_CELLS, BINS)

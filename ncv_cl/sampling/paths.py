@@ -1,4 +1,4 @@
-"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+"""Samples with a path behind the first bounce, in wavefronts: each value is itself an estimate."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def sample_source(
 
 
 class _Wave:
-    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
+    """Memory for the rays of one bounce and their hits, as wave.cl lays it out.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class _Wave:
     plane : int
         Elements of a plane.
     rays, shadows, tested : int
-        How many go on, how many end at a light, and how many of those kernels have answered.
+        Numbers of path rays, of shadow rays, and of shadow rays that kernels have answered.
     """
 
     def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
