@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fitting import fitting
 
 from ncv_cl import (
     AmbientOcclusion,
@@ -120,9 +121,8 @@ def render_everything(device: Device, folder: Path) -> None:
 
 def estimate_everything(device: Device) -> None:
     """Integrals of a callable, sampled uniformly and by each density."""
-    trained = {"method": "ncv", "train_spp": 1}
-    for options in ({"method": "mc"}, trained, trained | {"density": "subdivision"}):
-        estimate(lambda u, v, point: u, spp=2, device=device, **options)
+    for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
+        estimate(lambda u, v, point: u, spp=2, device=device, **fitting(train_spp=1, **options))
 
 
 def integrate_everything(device: Device) -> None:
