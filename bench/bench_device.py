@@ -25,7 +25,7 @@ from device_checks import SCENES, validate
 
 import ncv_cl as ncv
 from ncv_cl.network.encode import Encoding
-from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
 from ncv_cl.opencl.program import build
@@ -156,7 +156,7 @@ def work_groups(device: Device, quick: bool) -> list[dict]:
 def inference_ns(device: Device, quick: bool, group: int = 64) -> float:
     """Nanoseconds a sample of the default network, all its weights per point."""
     hidden = PRESETS["default"].hidden
-    description = NetworkDescription(Encoding(("position",)), 3, hidden, GROUPS)
+    description = NetworkDescription(Encoding(("position",)), 3, hidden, WEIGHT_GROUPS)
     generator = np.random.default_rng(0)
     found = {
         name: generator.normal(size=(POINTS, *shape)) for name, shape in description.group_shapes.items()

@@ -19,7 +19,7 @@ import numpy as np
 from training import TrainingCase
 
 from ncv_cl.network.encode import Encoding
-from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device, HostArray
 from ncv_cl.opencl.program import build
@@ -28,8 +28,8 @@ from ncv_cl.settings.presets import PRESETS
 POINTS, SAMPLES, CHANNELS = 1024, 256, 3
 NETWORKS = {
     "2x32, bias 1 per point": ((32, 32), ("B1",)),
-    "16x16, all per point": ((16, 16), GROUPS),
-    "8x8, all per point": ((8, 8), GROUPS),
+    "16x16, all per point": ((16, 16), WEIGHT_GROUPS),
+    "8x8, all per point": ((8, 8), WEIGHT_GROUPS),
 }
 
 

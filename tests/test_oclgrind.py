@@ -14,7 +14,7 @@ from test_certificate import TORTURE_NAMES
 
 import ncv_cl
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.integration.integrator import METHODS as INTEGRATION_METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 from ncv_cl.opencl.device import GPU_LANES
 from ncv_cl.points.sampler import SAMPLERS
 

@@ -11,7 +11,7 @@ import pytest
 
 import ncv_cl as ncv
 from ncv_cl import render
-from ncv_cl.estimation import method
+from ncv_cl.estimation import tuning
 from ncv_cl.learning.density import DensityTrainer
 from ncv_cl.opencl.program import Kernel
 from ncv_cl.points.sampler import HostStream, Stream, host_generator
@@ -77,8 +77,8 @@ def drawn(monkeypatch):
 @pytest.fixture
 def forced(monkeypatch):
     """Method "auto" takes a control variate."""
-    for name in ("SAMPLES_THAT_PAY", "NESTED_SAMPLES_THAT_PAY"):
-        monkeypatch.setattr(method, name, 0)
+    for name in ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY"):
+        monkeypatch.setattr(tuning, name, 0)
 
 
 @pytest.mark.parametrize("limit", [None, 1e3])

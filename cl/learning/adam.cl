@@ -6,19 +6,20 @@
  * starts[i + 1] of the index belong to item i, entry entries[i]; each is a place in `grid_gradient` and a weight.
  * No atomics, so the same bits every time. Entries that a minibatch does not touch stay as they are.
  *
- * Which groups and entries, and the step sizes, stand in the step's rows of `plan` and `rates`, of which the
- * global offset tells the number (Kernel.repeat).
+ * The step's rows of `plan` and `rates` hold the groups, entries and step sizes. The global offset tells
+ * which rows these are (Kernel.repeat).
  *
- * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values, then with TABLE_ADAM both of
- * Adam's moments of each, else the second moment that they share, and what share of that moment the gradients so
- * far make up.
+ * Memory layout: entry e of `table` begins at e * ENTRY_FLOATS: GRID_FEATURES values. Then with
+ * TABLE_ADAM both of Adam's moments of each value; else one second moment for all of them, and the sum
+ * of the weights that the moving average has given to gradients so far.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
 
 #define AT_MOMENT GRID_FEATURES
 
-/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
+/* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are
+ * slow. */
 #define TINY 1e-30f
 
 /* An entry's gradient by the index's item. */
@@ -30,8 +31,9 @@ entry_features gather_gradient(const uint item, global const uint *restrict star
 }
 
 #if TABLE_ADAM
-/* Table entries number first .. first + VEC of the index, those before `end`, as the network's parameters are
- * updated. The corrections in the step's `rates` are right for entries that every minibatch touches. */
+/* Table entries number first .. first + VEC of the index, those before `end`, as the network's
+ * parameters are updated. The corrections in the step's `rates` are right for entries that every
+ * minibatch touches. */
 void update_entries(global const float *restrict rates, const uint first, const uint end,
                     global const uint *restrict entries, global const uint *restrict starts,
                     global const uint *restrict places, global const float *restrict weights,
@@ -50,9 +52,9 @@ void update_entries(global const float *restrict rates, const uint first, const 
   }
 }
 #else
-/* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second moment for
- * all its features and no first one: entries are touched too rarely for momentum. The share of the present
- * gradients in the moving average corrects its start from zero, entry by entry. */
+/* Table entries number first .. first + VEC of the index, those before `end`. An entry has one second
+ * moment for all its features and no first one: entries are touched too rarely for momentum. The share
+ * of the present gradients in the moving average corrects its start from zero, entry by entry. */
 void update_entries(global const float *restrict rates, const uint first, const uint end,
                     global const uint *restrict entries, global const uint *restrict starts,
                     global const uint *restrict places, global const float *restrict weights,

@@ -127,7 +127,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
         product = FMA(LOAD(weights + min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC), h[k], product);
       const float z = sum_group(sum_lanes(product), shared) + parameters[MAGNITUDE_CELL_BIAS + cell];
       const float e = exp(clamp(z, -LOG_LIMIT, LOG_LIMIT));
-      /* Beyond the limit only what leads back counts. */
+      /* Beyond the limit only gradients that lead back are used. */
       const float slope = e - squared[row] * unit_square / e;
       const float delta = fabs(z) < LOG_LIMIT || z * slope > 0.0f ? slope * share : 0.0f;
       for (uint k = 0; k < OWN_BLOCKS; ++k) {

@@ -13,25 +13,25 @@
  * grid's entries that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
  * a column, column after column, level after level.
  *
- * A group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a column: all weights but
- * W2), samples forward and backward, and rows of the gradient by theta stay in local memory, row after row
- * of TILE floats. Heads are paid once a column, not once a sample. Each work-item works on VEC columns; after a
- * barrier each computes some of the parameters' gradients as sums over the tile. Every group owns one row of
- * `partial`, and adam.cl adds the rows in order: no atomics, the same bits every time. The first IDLE_GROUPS
- * groups do nothing.
+ * A group takes a tile of TILE columns at a time. Local memory holds, as rows of TILE floats: theta (a
+ * column's weights but W2, which the heads give), the activations of samples forward and backward, and
+ * the gradient by theta. Heads are evaluated once a column, not once a sample. Each work-item works on
+ * VEC columns; after a barrier each computes some of the parameters' gradients as sums over the tile.
+ * Every group owns one row of `partial`, and adam.cl adds the rows in order: no atomics, the same bits
+ * every time. The first IDLE_GROUPS groups do nothing (train.py says why).
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
- * barriers between the phases of the tile loop, whose bounds are the same for the whole group. store_samples:
- * any size, no local memory, no barriers.
+ * barriers between the phases of the tile loop, whose bounds are the same for the whole group.
+ * store_samples: any size, no local memory, no barriers.
  */
 
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
 #define TILE_BLOCKS (TILE / VEC)
 #define FEATURE_BLOCKS (FEATURE_FLOATS / VEC)
-/* Rows of theta that one pass over the features computes, so that a loaded feature serves several. */
+/* Rows of theta that are computed together, so that one load of a feature serves all of them. */
 #define ROW_BLOCK (HEAD_ROWS < 8 ? 1 : 8)
-/* Rows of theta and vectors of features that one pass over a tile's columns computes gradients of: as many sums
- * as registers hold, from few loads. On a GPU the work-items share the vectors. */
+/* Rows of theta and vectors of features whose gradients are computed together over a tile's columns: as
+ * many sums as registers hold, from few loads. On a GPU the work-items share the vectors. */
 #if LANES > 1
 #define GRADIENT_ROWS ROW_BLOCK
 #define BLOCKS_AT_ONCE 1
@@ -49,14 +49,14 @@
 #define BLOCKS_AT_ONCE 1
 #endif
 #endif
-/* Features that one pass over the rows of theta computes gradients of. */
+/* Features whose gradients are computed together over the rows of theta. */
 #define GRID_BLOCK (GRID_ROWS < 8 ? GRID_ROWS : 8)
 
 /* theta rows of VEC columns: heads times features, and plain bases. */
 void heads_forward(global const float *restrict parameters, local const real *restrict features,
                    local real *restrict theta) {
   for (int block = 0; block < HEAD_ROWS; block += ROW_BLOCK) {
-    /* The last block begins earlier, where it would be a part only. */
+    /* If the last block would be a part of one, it begins earlier. */
     const int row = min(block, HEAD_ROWS - ROW_BLOCK);
     global const float *restrict head = parameters + PARAMETER_HEADS + row * FEATURE_FLOATS;
     real sum[ROW_BLOCK];
@@ -94,7 +94,8 @@ void heads_backward(global const float *restrict parameters, local const real *r
 }
 
 /* One sample of VEC columns, forward and backward: adds to delta_theta, leaves h1 and delta2 for W2's
- * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the sample. */
+ * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the
+ * sample. */
 real sample_gradient(const real u, const real v, const real target[CHANNELS], const real weight[CHANNELS],
                      global const float *restrict w2, local const real *restrict theta,
                      local real *restrict delta_theta, local real *restrict h1_rows,
@@ -173,8 +174,8 @@ real load_columns(global const float *restrict row, const uint column, const uin
   return LOAD(padded);
 }
 
-/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the present
- * table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
+/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the
+ * present table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
 void load_features(const uint column, const uint end, const uint stride, global const float *restrict unit,
                    global const float *restrict fixed_rows, global const uint *restrict corner,
                    global const float *restrict table, local float *restrict rows,

@@ -6,9 +6,9 @@
  *
  *   (e0 + e1 + e2) / 12 + 3/4 e(m)          exact for quadratic functions
  *
- * and the corners' values are scaled to it. That is a choice of density; the density itself is then linear, its
- * integrals exact. With a share of UNIFORM_SHARE of it uniform, the values at the corners are
- * scale * e + UNIFORM_SHARE.
+ * and the corners' values are scaled to it. This rule only decides which density is used; the density is
+ * then linear, and its integrals are exact. With a share of UNIFORM_SHARE of it uniform, the values at
+ * the corners are scale * e + UNIFORM_SHARE.
  *
  * Triangles are listed along a Hilbert curve through their centroids, by a counting sort over BUCKETS cells of it.
  *

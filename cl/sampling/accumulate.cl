@@ -1,9 +1,10 @@
 /* Running mean and variance of f, and of the residual f - g, for every shading point.
  *
  * One group of LANES work-items a point (several points share a work-group); work-items take VEC samples
- * at a time, and their results are merged in a fixed order. All sums are about a value near the mean, so
- * a small variance beside a large mean keeps its digits; merging follows Chan, Golub and LeVeque (1983).
- * The running mean is kept in two floats, because thousands of passes each add less than its last bit.
+ * at a time, and their results are merged in a fixed order. Sums are of differences to a value near the
+ * mean, so that a small variance beside a large mean keeps its digits; merging follows Chan, Golub and
+ * LeVeque (1983). The running mean is kept in two floats, because one of thousands of passes changes it
+ * by less than the last bit of one float.
  *
  * Memory layout: `state` is structure of arrays, row * total_points + point, with rows
  * (quantity * CHANNELS + channel) * STATE_FLOATS and on, a record of STATE in accumulate.py (mean, the

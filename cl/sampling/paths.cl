@@ -71,7 +71,7 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.path = LANE_NUMBER + (uint)at;
   ray.strips = strips_at(lights, &p);
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-  /* Of use at depth 2 is only what could have found a light. */
+  /* Without emissive surfaces a path of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, 0, plane, wave);
@@ -180,7 +180,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const real distance = LOAD(PLANE(wave, WAVE_DISTANCE) + first);
   Ray ray;
   ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
-  /* What a lane past the last ray finds there may be of a larger batch. */
+  /* Lanes past the last ray may read a path number of an earlier, larger batch. */
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
   const whole met = triangle >= 0;
@@ -214,7 +214,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     return;
   }
   whole both_ways = on_surface;
-  /* For the last of them a ray that finds light is worth while only if there is a lobe. */
+  /* A last ray can only find an area light, and is traced only if the surface has a lobe: other surfaces
+   * find these lights by their points alone. */
   const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
   /* As surface_offset. */
@@ -305,8 +306,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
         alive && (coordinates[4] < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
 #if GUIDED
-    /* What a cell is known to receive is counted in any case, and roulette decides on the difference alone:
-     * c + (R - c) / survival or c, whose expectation is R whatever c. */
+    /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
+     * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
+     * R for every c. */
     const whole known = cell * GUIDE_CHANNELS;
     const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
     const triple expected = sum_of((triple){(real)0.0f, (real)0.0f, (real)0.0f}, gather_triple(guide_mean, known), kept);
@@ -317,8 +319,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     ray.throughput.y *= scale_up;
     ray.throughput.z *= scale_up;
   }
-  /* After roulette, which goes by how bright the surface is, and not by how likely the direction was. Light that the
-   * ray finds is weighted as if it had not been guided: weights have to sum to one, no more. */
+  /* After roulette, which depends on the surface's throughput and not on the density of the direction.
+   * The MIS weight of light that the ray finds is that of an unguided ray: weights need only sum to
+   * one. */
   ray.throughput.x *= inverse_guide;
   ray.throughput.y *= inverse_guide;
   ray.throughput.z *= inverse_guide;

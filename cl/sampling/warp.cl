@@ -26,7 +26,7 @@
  * the density there. Returns the bin. */
 whole warp_axis(const bits low, const bits high, real *x, real *inverse_density) {
   const real place = *x * (float)EDGE_UNITS;
-  /* Three halvings: by the fourth edge, by the second or sixth, by an odd one. */
+  /* A binary search: the fourth edge, then the second or sixth, then an odd one. */
   real edge = TO_REAL(low >> 24);
   whole above = place >= edge;
   whole bin = SELECT((whole)0, (whole)4, above);

@@ -1,7 +1,8 @@
 /* Shadow rays of a scene of few triangles: each is tested against all of them, VEC rays at a time.
  *
- * Rays from anywhere to anywhere have no shaft in common (shaft.cl), but where a scene has few triangles, testing
- * them all costs less than handing a ray to the host and waiting for its answer.
+ * Shadow rays of paths start anywhere, so no occluder list (shaft.cl) serves several of them. But if a
+ * scene has few triangles, testing them all costs less than handing a ray to the host and waiting for
+ * its answer.
  *
  * The test, in Pluecker coordinates. A line through o along d passes an edge from a to b on the side that the sign of
  * d . (a x b) + (o x d) . (b - a) tells. The three signs of a triangle are alike where the line passes through it, and

@@ -5,9 +5,10 @@
  * triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
  * samples are tested against these (Haines and Wallace 1991, shaft culling); other points leave their rays to the host.
  *
- * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the light's
- * and the surface's own. A triangle all of whose corners lie outside one plane by more than rounding is left out;
- * what is kept though it cannot be hit costs time only.
+ * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the
+ * light's and the surface's own. A triangle all of whose corners lie outside one plane by more than
+ * rounding is left out. A triangle that is kept although no ray can hit it costs time, but changes no
+ * result.
  *
  * The test. With corners a, b, c relative to the origin and direction d, the signs of d.(b x c), d.(c x a) and
  * d.(a x b) say on which side of the three edges the ray passes. Of two triangles with a common edge one gets

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import Device, DeviceError, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, Device, DeviceError, HostArray
 from ..opencl.program import Program, build
 from .certificate import COUNTERS
 
-# Groups on a GPU: enough to hide latencies, few enough to keep their tables in the cache.
-GROUPS_PER_COMPUTE_UNIT = 8
 # A group pops so many points at most from the queue at once.
-LONGEST_RUN = 16
-# Local memory every GPU has; a workspace beyond it goes to global memory.
-LOCAL_BYTES = 48 * 1024
+MOST_POPPED = 16
 ROBUST_FILES = ("common", "number", "integrate_robust")
 
 Constants = dict[str, int | str]
@@ -112,7 +108,8 @@ class ArrangementStage:
         self.device = device
         program = build(device, files, constants)
         work_bytes, table_bytes = memory_of(program, "integrate_memory")
-        local_bytes = min(LOCAL_BYTES, device.cl_device.local_mem_size)
+        # A workspace beyond it goes to global memory.
+        local_bytes = min(GPU_LOCAL_BYTES, device.cl_device.local_mem_size)
         if device.lanes > 1 and work_bytes + 64 <= local_bytes:
             constants = constants | {"SPACE": "__local", "WORK_IS_LOCAL": 1}
             program = build(device, files, constants)
@@ -154,7 +151,7 @@ class ArrangementStage:
             points to be done again.
         """
         groups = min(self.groups, end - begin)
-        run = max(1, min(LONGEST_RUN, (end - begin) // (groups * 16)))
+        run = max(1, min(MOST_POPPED, (end - begin) // (groups * 16)))
         self._counters.array.fill(0)
         self._faces.fill(0)
         self._kernel(
@@ -177,7 +174,7 @@ class ArrangementStage:
 
 
 class ClippingStage:
-    """Integrates by cutting polygons, one work-item a point: slow, and sure.
+    """Integrates by cutting polygons, one work-item a point: slow, but no arrangement can fail.
 
     Parameters
     ----------

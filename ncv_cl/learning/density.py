@@ -1,4 +1,4 @@
-"""Where the residual is: a learned sampling density and magnitude for every shading point."""
+"""The residual's magnitude over the square, learned: every point's sampling density and mean."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
+from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
-GROUPS = 16
-CELLS = DENSITY_BINS**2
+GRADIENT_GROUPS = 16
+DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
 
@@ -50,25 +51,28 @@ class DensitySettings:
     beta1, beta2, epsilon : float
         Adam's constants.
     uniform_share : float
-        Part of every density that is uniform, so that nothing overlooked gets a large weight.
+        Part of every density that is uniform, which bounds the weight of a sample where the network
+        predicts too little.
     """
 
-    hidden: int = 32
-    columns: int = 128
-    samples_a_step: int = 16
-    steps: int = 640
-    most_epochs: int = 8
-    rate: float = 1e-2
-    final_rate: float = 1e-3
-    beta1: float = 0.9
-    beta2: float = 0.99
+    hidden: int = tuning.DENSITY_HIDDEN
+    columns: int = tuning.DENSITY_COLUMNS
+    samples_a_step: int = tuning.DENSITY_SAMPLES_A_STEP
+    steps: int = tuning.DENSITY_STEPS
+    most_epochs: int = tuning.DENSITY_EPOCHS
+    rate: float = tuning.DENSITY_RATE
+    final_rate: float = tuning.DENSITY_FINAL_RATE
+    beta1: float = tuning.DENSITY_BETA1
+    beta2: float = tuning.DENSITY_BETA2
     epsilon: float = 1e-8
-    uniform_share: float = 0.1
+    uniform_share: float = tuning.DENSITY_UNIFORM_SHARE
 
     def parameters(self, features: int) -> Record:
         """The network's numbers: weights and biases of its units, then rows and biases of cells."""
         fields = {"units": features * self.hidden, "unit_bias": self.hidden}
-        return Record("MAGNITUDE", {**fields, "rows": CELLS * self.hidden, "cell_bias": CELLS})
+        return Record(
+            "MAGNITUDE", {**fields, "rows": DENSITY_CELLS * self.hidden, "cell_bias": DENSITY_CELLS}
+        )
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:
         """The `-D` constants of density.cl but those of fitting."""
@@ -104,7 +108,7 @@ class DensityNetwork:
     settings: DensitySettings
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The numbers, as they are kept in a network's file."""
+        """The arrays that are saved in the control variate's file."""
         return {
             "density_parameters": self.parameters,
             "density_features": np.stack([self.feature_mean, self.feature_scale]),
@@ -115,7 +119,7 @@ class DensityNetwork:
 
     @classmethod
     def load(cls, path: str | Path) -> DensityNetwork | None:
-        """What `arrays` put into a network's file; None where there is none.
+        """The density network of a control variate's file; None if the file has none.
 
         Raises
         ------
@@ -132,7 +136,7 @@ class DensityNetwork:
     def of_arrays(
         cls, arrays: Mapping[str, np.ndarray], description: NetworkDescription
     ) -> DensityNetwork | None:
-        """What `arrays` put beside a network of this description; None where there is none.
+        """The density network among the arrays of a file of this description; None if there is none.
 
         Raises
         ------
@@ -219,7 +223,7 @@ def tabulate(
 
 
 class DensityTrainer:
-    """Learns the magnitude of f - g over (u, v) and phi from the control variate's own training samples.
+    """Learns the magnitude of f - g from the control variate's own training samples.
 
     Parameters
     ----------
@@ -256,7 +260,7 @@ class DensityTrainer:
         self._moments = {
             name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
         }
-        self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
+        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -275,7 +279,7 @@ class DensityTrainer:
         return build(self.device, ("common", "mlp", "density"), defines)
 
     def _start(self, features: int) -> np.ndarray:
-        """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
+        """Random start: He-uniform units, and rows so small that e is near the samples' RMS."""
         hidden = self.settings.hidden
         generator = host_generator(0, HostStream.DENSITY)
         layout = self.settings.parameters(features)
@@ -283,7 +287,7 @@ class DensityTrainer:
         units = generator.uniform(-1, 1, features * hidden)
         parameters[layout["units"]] = units * math.sqrt(3 / features)
         bound = 1 / math.sqrt(hidden)
-        parameters[layout["rows"]] = generator.uniform(-bound, bound, CELLS * hidden)
+        parameters[layout["rows"]] = generator.uniform(-bound, bound, DENSITY_CELLS * hidden)
         return parameters
 
     def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:
@@ -330,9 +334,9 @@ class DensityTrainer:
         )
 
     def gradients(self, sample: int, first: int, count: int) -> int:
-        """Enqueue one step's gradients; returns how many rows of partial sums they are."""
+        """Enqueue one step's gradients; returns the number of rows of partial sums."""
         samples, lanes = self._samples, self.device.lanes
-        groups = min(GROUPS, count)
+        groups = min(GRADIENT_GROUPS, count)
         self._program.kernel("density_gradients")(
             groups * lanes,
             sample=sample,

@@ -1,4 +1,4 @@
-"""Samples at points that no network is trained on: what a network leaves of them."""
+"""Held-out samples, at points that no network is trained on: they measure what a network leaves."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class HeldOut:
         self._batches: list[tuple[Batch, int]] = []
 
     def store(self, batch: Batch, first_sample: int) -> None:
-        """Keep a copy of a batch, samples number `first_sample` and on of these points."""
+        """Keep a copy of a batch: samples number `first_sample` and on of the held-out points."""
         device, size = self.device, len(batch.points) * batch.stride
         slot, visible = batch.slot.read(size), batch.visible.read()
         answer = visible[np.minimum(slot, len(visible) - 1)] != 0

@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from ..integration.arrangement import Capacities
 from ..network.network import FoldedNetwork, NetworkError
-from ..opencl.device import Device, HostArray
+from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, Device, HostArray
 from ..opencl.layout import Record
 from ..opencl.program import build
 from ..sampling.warp import Warp, warp_defines
@@ -18,11 +18,9 @@ from .density import Density
 # Records held at a time; batches of samples are cut to points that fit.
 RECORD_BYTES = 64 << 20
 # |sum of areas - 1| beyond which a point's square is left undivided; that of the integrals.
-AREA_TOLERANCE = 1e-5
+COVER_TOLERANCE = 1e-5
 # Most of the square that may lie in triangles too small to be chosen: the largest bias there is.
 MISSED_AREA = 1e-6
-# Groups on a GPU: enough to hide latencies.
-GROUPS_PER_COMPUTE_UNIT = 8
 # A triangle's three corners share a word.
 VERTEX_BITS = 10
 # Floats of a record are padded to a cache line.
@@ -32,9 +30,9 @@ RECORD_PADDING = 16
 class TriangleWarp(Warp):
     """Density linear on the triangles into which the network's first layer cuts each point's square.
 
-    The magnitude at the triangles' corners is that of `density`'s tables, so both densities know the
-    same. Records are built for the points of one batch at a time: they are too large to keep for all
-    (some 5 kB each for 16 lines).
+    The magnitude at the triangles' corners is read off `density`'s tables. Records are built for the
+    points of one batch at a time, since they are too large to be kept for all (some 5 kB each for 16
+    lines).
 
     Parameters
     ----------
@@ -48,7 +46,7 @@ class TriangleWarp(Warp):
     ----------
     undivided : int
         Points so far, counted once a batch, whose triangles did not cover the square within
-        `AREA_TOLERANCE`, or more than `MISSED_AREA` of it by slivers, and which are sampled from two
+        `COVER_TOLERANCE`, or more than `MISSED_AREA` of it by slivers, and which are sampled from two
         triangles instead.
 
     Notes
@@ -116,7 +114,7 @@ class TriangleWarp(Warp):
             "MAX_HALF_EDGES": bounds.half_edges + 1,
             "MAX_FACES": bounds.faces,
             "MAX_TRIANGLES": bounds.triangles,
-            "AREA_TOLERANCE": f"{AREA_TOLERANCE!r}f",
+            "AREA_TOLERANCE": f"{COVER_TOLERANCE!r}f",
             "MISSED_AREA": f"{MISSED_AREA!r}f",
         }
         self.record_words = int(self.defines["RECORD_WORDS"])

@@ -1,4 +1,4 @@
-"""A network's parameters as training holds them: rows of whole vectors, their moments and averages."""
+"""A network's parameters in training: rows padded to whole vectors, moments, moving averages."""
 
 from __future__ import annotations
 

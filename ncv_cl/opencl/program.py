@@ -30,14 +30,14 @@ def kernel_files() -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class KernelText:
-    """The text of a kernel file that is not one of ours.
+    """The text of a kernel file that is not part of the package.
 
     Attributes
     ----------
     name : str
         What compilers call it in their messages, such as the file's path.
     text : str
-        All caches of programs know it by this.
+        Programs are cached by this text, not by the name.
     """
 
     name: str
@@ -49,7 +49,7 @@ class KernelText:
         return cls(str(path), path.read_text(encoding="utf-8-sig"))
 
 
-# A file of the kernel folder by its base name without suffix, or another's text.
+# A file of the package by its base name without suffix, or a text.
 KernelFile = str | KernelText
 
 
@@ -120,7 +120,7 @@ def _complaint(
     files: tuple[KernelFile, ...],
     defines: Mapping[str, int | str],
 ) -> str:
-    """What did not compile, and the compiler's words, those about other people's texts first."""
+    """What did not compile, and the compiler's messages, those about `KernelText`s first."""
     names = [file if isinstance(file, str) else file.name for file in files]
     theirs = [file.name for file in files if not isinstance(file, str)]
     failed = f"building {' + '.join(names)} failed on {device.name} with {dict(defines)}:\n{error}"
@@ -131,9 +131,9 @@ def _complaint(
 
 
 def _built(device: Device, text: str, options: list[str]) -> cl.Program:
-    """The program with what its kernels say of their arguments.
+    """The built program, with the names and types of its kernels' arguments.
 
-    Binaries that pyopencl keeps have lost that on Intel's runtime, where the text is compiled once more.
+    On Intel's runtime the binaries in pyopencl's cache lack these; the text is then compiled again.
     """
     with warnings.catch_warnings():
         # Intel's compiler reports every build, also those without anything to warn of.
@@ -149,9 +149,9 @@ def _built(device: Device, text: str, options: list[str]) -> cl.Program:
 
 
 def _compiled(device: Device, text: str, options: list[str]) -> cl.Program:
-    """The program, at a second try if need be.
+    """Compile the program, twice if the first try fails.
 
-    When a signal comes, LLVM deletes the temporary files of the compilation under way, which then fails.
+    When a signal arrives, LLVM deletes its temporary files, and the compilation under way fails.
     """
     try:
         return cl.Program(device.context, text).build(options)

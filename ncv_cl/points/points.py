@@ -36,7 +36,7 @@ INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 # Rays start and end off surfaces by this multiple of the coordinates that enter there (surface.cl): 32
 # rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.
 RELATIVE_OFFSET = 32 * 2.0**-24
-# Part of a triangle's extent that counts whatever its normal: the offset is nowhere zero.
+# This part of a triangle's extent counts for every normal, so that the offset is never zero.
 LEAST_SPREAD = 2.0**-10
 CAMERA_RAYS_PER_BATCH = 1 << 19
 
@@ -138,7 +138,7 @@ def material_records(scene: Scene) -> np.ndarray:
 
 
 def triangle_spreads(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Along the triangles' own normals, the extent of their boxes, as surface.cl's `spread`.
+    """The extent of each triangle's box along the triangle's normal: `spread` of surface.cl.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def find_points(
     supersample : int
         k makes k × k sub-pixels of a pixel, each a shading point of its own.
     emitters_active : bool
-        Whether points on area lights have an integral (ambient occlusion) or not (direct light, whose
-        emitters are black bodies).
+        Whether points on area lights have an integral: they do for ambient occlusion, and do not for
+        direct light, since lights reflect nothing.
     """
     columns, rows = width * supersample, height * supersample
     cells = columns * rows

@@ -19,23 +19,23 @@ SAMPLERS = ("independent", "sobol")
 class Stream(enum.IntEnum):
     """What a sample is for; samples of different streams are independent.
 
-    No two stages of a render share one: what two of them say is weighed as if it were independent.
+    No two stages of a render share one, because their estimates are combined as independent ones.
     """
 
-    # f by plain Monte Carlo, whole images and first passes alike, which the former go on from.
+    # f by plain Monte Carlo.
     PLAIN = 0
     PILOT = 1
     UNSHADOWED = 2
     # A second, independent scramble for points that are estimated twice.
     PLAIN_AGAIN = 3
-    # f - g, and the same points once more.
+    # f - g, and its second scramble.
     RESIDUAL = 4
     RESIDUAL_AGAIN = 5
     TRAINING = 6
     HELD_OUT = 7
-    # Drawn for kernels to be compiled, and thrown away.
+    # Drawn so that kernels get compiled; the values are not used.
     WARM_UP = 8
-    # Of a callable: the constant that is taken off.
+    # The constant that is subtracted from a callable.
     OFFSET = 9
 
 
@@ -50,7 +50,7 @@ class HostStream(enum.IntEnum):
 
 
 def host_generator(seed: int, stream: HostStream) -> np.random.Generator:
-    """Random numbers of the host, the same on every machine."""
+    """A generator for the host; its numbers are the same on every machine."""
     return np.random.Generator(np.random.Philox([seed, int(stream)]))
 
 

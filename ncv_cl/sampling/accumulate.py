@@ -20,7 +20,7 @@ STATE = Record("STATE", {"mean": 1, "low": 1, "deviations": 1})
 
 @dataclass(frozen=True)
 class Estimate:
-    """Sample means over one quantity.
+    """Means and variances of one quantity, f or f - g, at every point.
 
     Attributes
     ----------
@@ -51,14 +51,14 @@ class Estimate:
 
     @property
     def known(self) -> np.ndarray:
-        """Where there are samples enough for a variance, bool (points,)."""
+        """Where a point has the two samples that a variance needs, bool (points,)."""
         return self.samples > 1
 
     def merged(self, other: Estimate) -> Estimate:
-        """Of all samples of both, where these are independent of each other."""
+        """The estimate from all samples of both, which must be independent of each other."""
         samples = self.samples + other.samples
         share = other.samples / np.maximum(samples, 1)
-        # Each variance is unbiased, and so is any mean of them whose weights the samples do not decide.
+        # Each variance is unbiased, and so is their mean with weights that do not depend on the values.
         both = (1 - share) * self.variance + share * other.variance
         one = np.where(self.known, self.variance, other.variance)
         return Estimate(
@@ -116,7 +116,7 @@ class Accumulator:
     def add(self, batch: Batch, previous: int | None = None) -> None:
         """Add a batch, whose points must all have been given `previous` samples before.
 
-        By default what all points have been given in the passes finished so far.
+        By default the number that the passes finished so far have given every point.
         """
         previous = self._samples_of_all if previous is None else previous
         weighted = batch.weight is not None

@@ -15,9 +15,9 @@ from ..scene.load import Scene
 from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
 from .warp import Warp
 
-# How many values a callable's constant is the median of: an odd number at each of some points.
+# A callable's constant is the median of so many values at each of so many points.
 OFFSET_POINTS, OFFSET_SAMPLES = 256, 17
-# Squares of larger values, and sums of these, are beyond float32.
+# Sums of squares of larger values would overflow float32.
 LARGEST_VALUE = 1e15
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -49,10 +49,10 @@ class CallableSource(Batches):
     Attributes
     ----------
     offset : ndarray
-        float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
-        points. What is integrated is then near zero whatever f is, and float32 holds its differences.
-        Any constant leaves the estimate as it is once it is added again; this one rests on samples that
-        nothing else uses.
+        float64 (channels,), a constant that is subtracted from f and added to the result again: 0, and
+        after `centre` the median of a few values at some points. With it float32 holds the differences
+        of f even if f is large. It comes from samples that nothing else uses, so estimates stay
+        unbiased.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class CallableSource(Batches):
         self.offset = np.zeros(channels)
 
     def centre(self) -> None:
-        """Take off the medians of f's channels, over `OFFSET_SAMPLES` at each of some of the points."""
+        """Set `offset` to the medians of f's channels over some values at some points."""
         points = self.points.active
         chosen = np.linspace(0, points, min(points, OFFSET_POINTS), endpoint=False)
         order = HostArray.of(self.device, chosen.astype(np.uint32))

@@ -1,4 +1,4 @@
-"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+"""Samples with a path behind the first bounce, in wavefronts: each value is itself an estimate."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ..points.sampler import sampler_defines
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
+from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .triangles import triangle_records
@@ -22,16 +23,9 @@ from .warp import Warp, warp_defines
 from .wave import Wave, wave_defines
 
 # A depth that no path reaches.
-UNLIMITED = 1 << 30
+EVERY_DEPTH = 1 << 30
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
 RADIANCE_FLOATS = 4
-# Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
-# the same where the mean of what is ended is known. Of those tried, the least variance times rays
-# (96 x 96 points, one pair of seeds, Cornell box and interior).
-ROULETTE = (2, 2.0)
-GUIDED_ROULETTE = (2, 3.0)
-# The most that go on.
-MOST_SURVIVE = 0.95
 
 
 def sample_source(
@@ -71,7 +65,7 @@ class PathSource(SampleSource):
         shadows_tested: bool = False,
     ) -> None:
         super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
-        self._max_depth = integrand.max_depth or UNLIMITED
+        self._max_depth = integrand.max_depth or EVERY_DEPTH
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
@@ -94,7 +88,7 @@ class PathSource(SampleSource):
             **defines,
             **wave_defines(),
             "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
-            "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+            "MOST_SURVIVE": f"{tuning.MOST_SURVIVE!r}f",
             **shadow_defines(len(scene.triangles) if few else 0),
             **ray_defines(),
             **warp_defines(),
@@ -130,7 +124,7 @@ class PathSource(SampleSource):
     def _choose_program(self) -> None:
         recorded = self._recorder is not None
         guided = self._guided and not recorded
-        bounce, scale = GUIDED_ROULETTE if guided else ROULETTE
+        bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         flags = {
             "RECORDED": int(recorded),
             "GUIDED": int(guided),

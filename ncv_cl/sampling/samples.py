@@ -17,7 +17,7 @@ from ..scene.load import Scene
 from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
 from .warp import Warp
 
-# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
+# Slots of samples without a ray: their value is zero, or they are known to see the light.
 NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -37,7 +37,7 @@ def ray_defines() -> dict[str, str]:
 
 @dataclass
 class RayCount:
-    """How many rays were traced, how many were not worth tracing, and seconds.
+    """How many rays were traced, how many samples needed none, and seconds.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 from ..opencl.device import HostArray
 from ..opencl.layout import Record
 
-# Cells an axis of a density.
+# Cells an axis of a density: the edges between eight are seven bytes, of two words.
 DENSITY_BINS = 8
 # A row of bins, of the strips or of one strip's cells, is two words.
 ROW_WORDS = 2

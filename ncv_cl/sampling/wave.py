@@ -47,7 +47,7 @@ def wave_defines() -> dict[str, int | str]:
 
 
 class Wave:
-    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
+    """Memory for the rays of one bounce and their hits, as wave.cl lays it out.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Wave:
     plane : int
         Elements of a plane.
     rays, shadows, tested : int
-        How many go on, how many end at a light, and how many of those kernels have answered.
+        Numbers of path rays, of shadow rays, and of shadow rays that kernels have answered.
     """
 
     def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:

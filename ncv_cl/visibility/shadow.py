@@ -26,7 +26,7 @@ CENTRE_FLOATS = 4
 def shadow_casters(scene: Scene) -> np.ndarray:
     """What shadow.cl reads of a scene, float32 (CENTRE_FLOATS + triangles * CASTER.size,)."""
     corners = scene.vertices[scene.triangles].astype(np.float64)
-    # The middle of a scene of all sizes may be far from what is seen; its origin is not (`scene_place`).
+    # The scene's origin is near what is seen (scene/place.py), its middle may be far away.
     centre = np.clip(np.float32(0), *scene.bounds)
     corners -= centre
     following = np.roll(corners, -1, axis=1)

@@ -91,7 +91,7 @@ class Occluders:
 
     @property
     def unknown(self) -> int:
-        """Points that have too many to be listed, whose rays are traced."""
+        """Points with too many occluders for a list, whose rays are traced."""
         return int(np.count_nonzero(self._lengths == TOO_MANY))
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
