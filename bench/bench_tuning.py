@@ -34,7 +34,7 @@ from ncv_cl.sampling import guide
 from ncv_cl.settings.presets import PRESETS
 from ncv_cl.settings.schedule import Schedule
 
-FOLDERS = ("settings", "sampling", "learning", "estimation")
+FOLDERS = ("integrands", "settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
 ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY")
 VALUES = {
@@ -50,6 +50,7 @@ VALUES = {
     "DENSITY_BETA2": (0.9, 0.99, 0.999),
     "MAGNITUDE_POWER": (0.7, 0.8, 0.9, 1.0),
     "OWN_SHARE": (0.1, 0.3, 0.5),
+    "LOBE_SHARES": ((0.0, 0.5), (0.0, 0.5, 0.875), (0.0, 0.25, 0.5, 0.75, 0.875)),
     "ROULETTE": ((1, 2.0), (2, 1.0), (2, 2.0), (2, 4.0), (3, 2.0)),
     "GUIDED_ROULETTE": ((1, 3.0), (2, 1.5), (2, 3.0), (2, 6.0), (3, 3.0)),
     "MOST_SURVIVE": (0.9, 0.95, 0.99),
@@ -74,10 +75,18 @@ class Trial:
 
 
 PATHS = (("cornell_box", "gi"), ("interior", "gi"))
+GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
+LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
+PLAIN = {"method": "mc"}
 PILOT = {"method": "mc", "allocation": "pilot"}
 VARIANCE = Trial(size=64, spp=16, of_variance=True)
 # What is not seen in the trial that suits most.
 TRIALS = {
+    "SMALL_LIGHT": Trial(LIGHTS, options=PLAIN),
+    "EQUAL_PART": Trial((("interior", "direct"), ("interior", "gi")), options=PLAIN),
+    "LOBE_SHARES": Trial(GLOSS, options=PLAIN),
+    "LOBE_GAIN": Trial(GLOSS, options=PLAIN),
+    "LOBE_NEED": Trial(GLOSS, options=PLAIN),
     "MOST_TRAINING_SAMPLES": Trial(spp=2048),
     "HELD_OUT_SHARE": Trial(size=48, spp=256),
     "USE_COST": Trial(spp=512),
@@ -97,9 +106,9 @@ TRIALS = {
     "VALUES_A_CLASS": VARIANCE,
     "MOST_CLASSES": replace(VARIANCE, size=128),
     "PRIOR_SAMPLES": VARIANCE,
-    "LOCAL_RADIUS": replace(VARIANCE, options={"method": "mc"}),
-    "OWN_SHARE": replace(VARIANCE, options={"method": "mc"}),
-    "ROULETTE": Trial(PATHS, options={"method": "mc"}),
+    "LOCAL_RADIUS": replace(VARIANCE, options=PLAIN),
+    "OWN_SHARE": replace(VARIANCE, options=PLAIN),
+    "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": Trial(PATHS),
     "MOST_SURVIVE": Trial(PATHS),
     "GUIDE_SIDE": Trial(PATHS),
@@ -175,7 +184,8 @@ def measure(
                 with set_to(name, value):
                     began = clock()
                     image = ncv.render(
-                        scene,
+                        # Anew, since what is found of a scene's lights is kept with it.
+                        replace(scene),
                         integrand,
                         spp=trial.spp,
                         size=(trial.size, trial.size),
