@@ -162,17 +162,25 @@ def inference_ns(device: Device, quick: bool, group: int = 64) -> float:
         name: generator.normal(size=(POINTS, *shape)) for name, shape in description.group_shapes.items()
     }
     found["W2"] = generator.normal(size=hidden[::-1])
-    uv = generator.random((2, POINTS, SAMPLES))
-    order = ("W1", "B1", "W2", "B2", "W3", "B3")
-    arrays = (*uv, *(found[name] for name in order))
-    buffers = [HostArray.of(device, array.astype(np.float32)) for array in arrays]
+    found["U"], found["V"] = generator.random((2, POINTS, SAMPLES))
+    buffers = {
+        name.lower(): HostArray.of(device, array.astype(np.float32)) for name, array in found.items()
+    }
     value = HostArray(device, (3, POINTS, SAMPLES), np.float32)
     evaluate = build(device, ("common", "mlp"), description.defines()).kernel("evaluate")
     items = POINTS * SAMPLES // device.vector_width
     times = []
     for _ in range(5 if quick else 20):
         begun = time.perf_counter()
-        evaluate(items, 0, POINTS, SAMPLES, *buffers, value, group=group)
+        evaluate(
+            items,
+            first_point=0,
+            point_count=POINTS,
+            stride=SAMPLES,
+            **buffers,
+            value=value,
+            group=group,
+        )
         device.queue.finish()
         times.append(time.perf_counter() - begun)
     return float(np.median(times[1:])) / (POINTS * SAMPLES) * 1e9

@@ -85,13 +85,20 @@ def inference_row(device: Device, torch: ModuleType | None, name: str, repeats: 
     }
     arrays = {group: array.astype(np.float32) for group, array in arrays.items()}
     uv = generator.random((2, POINTS, SAMPLES), np.float32)
-    order = ("W1", "B1", "W2", "B2", "W3", "B3")
-    buffers = [HostArray.of(device, x) for x in (*uv, *(arrays[group] for group in order))]
+    given = arrays | dict(zip("UV", uv, strict=True))
+    buffers = {name.lower(): HostArray.of(device, array) for name, array in given.items()}
     value = HostArray(device, (CHANNELS, POINTS, SAMPLES), np.float32)
     evaluate = build(device, ("common", "mlp"), description.defines()).kernel("evaluate")
 
     def ours() -> None:
-        evaluate(POINTS * SAMPLES // device.vector_width, 0, POINTS, SAMPLES, *buffers, value)
+        evaluate(
+            POINTS * SAMPLES // device.vector_width,
+            first_point=0,
+            point_count=POINTS,
+            stride=SAMPLES,
+            **buffers,
+            value=value,
+        )
         device.queue.finish()
 
     works: list[Callable[[], object]] = [ours]

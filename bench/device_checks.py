@@ -192,13 +192,13 @@ def _recording(launched: set[str]) -> Iterator[None]:
     """Note the names of kernels that are launched while the block lasts."""
     plain_call, plain_repeat = Kernel.__call__, Kernel.repeat
 
-    def call(kernel: Kernel, *arguments: object, **options: object) -> object:
+    def call(kernel: Kernel, work_items: object, **given: object) -> object:
         launched.add(kernel.name)
-        return plain_call(kernel, *arguments, **options)
+        return plain_call(kernel, work_items, **given)
 
-    def repeat(kernel: Kernel, *arguments: object, **options: object) -> None:
+    def repeat(kernel: Kernel, *given: object) -> None:
         launched.add(kernel.name)
-        plain_repeat(kernel, *arguments, **options)
+        plain_repeat(kernel, *given)
 
     Kernel.__call__, Kernel.repeat = call, repeat
     try:

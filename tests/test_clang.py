@@ -24,6 +24,7 @@ from ncv_cl.integration import certificate
 from ncv_cl.integration.subdivide import subdivide
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+from ncv_cl.opencl.probe import measure
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.settings.presets import PRESETS
 
@@ -103,7 +104,7 @@ def render_everything(device: Device, folder: Path) -> None:
             scene,
             integrand,
             "ncv",
-            sampler,
+            sampler=sampler,
             spp=2,
             train_spp=1,
             size=(4, 4),
@@ -115,8 +116,9 @@ def render_everything(device: Device, folder: Path) -> None:
 
 def estimate_everything(device: Device) -> None:
     """Integrals of a callable, sampled uniformly and by each density."""
-    for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
-        estimate(lambda u, v, point: u, spp=2, train_spp=1, device=device, **options)
+    trained = {"method": "ncv", "train_spp": 1}
+    for options in ({"method": "mc"}, trained, trained | {"density": "subdivision"}):
+        estimate(lambda u, v, point: u, spp=2, device=device, **options)
 
 
 def integrate_everything(device: Device) -> None:
@@ -158,6 +160,7 @@ def programs(one_device, tmp_path_factory):
             render_everything(device, tmp_path_factory.mktemp("scene"))
             estimate_everything(device)
             integrate_everything(device)
+            measure(device)
         return [(one.files, one.defines) for one in built.values()]
 
 

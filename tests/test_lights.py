@@ -40,7 +40,7 @@ kernel void samples(const uint count, global const float *lights, global const f
   const real v = LOAD(numbers + 4 * count + first);
   const LightSample found = sample_lights(lights, all_strips(lights), position, position, u, v);
   const triple segment = found.segment;
-  const real facing = fabs(dot_triple(found.towards, to_triple(vload3(3, lights))));
+  const real facing = fabs(dot_triple(found.towards, to_triple(vload3(0, lights + LIGHT_NORMAL))));
   const real density = light_density(lights, all_strips(lights), (whole)0, position, segment, facing);
   const real lit = SELECT((real)0.0f, (real)1.0f, found.lit);
   const real row[7] = {segment.x, segment.y, segment.z, found.radiance[0], found.density, density, lit};
@@ -89,10 +89,10 @@ def sampled(device, light: QuadLight, position: np.ndarray, u: np.ndarray, v: np
     result = HostArray(device, (7, len(u)), np.float32)
     kernel(
         len(u) // device.vector_width,
-        len(u),
-        HostArray.of(device, light_records(scene)),
-        HostArray.of(device, rows.astype(np.float32)),
-        result,
+        count=len(u),
+        lights=HostArray.of(device, light_records(scene)),
+        numbers=HostArray.of(device, rows.astype(np.float32)),
+        result=result,
     )
     found = result.read().astype(float)
     return Found(found[:3].T + position, *found[3:])

@@ -53,9 +53,16 @@ def evaluate(device, folded, u, v):
     points, samples = u.shape
     channels = folded.network.description.channels
     value = HostArray(device, (channels, points, samples), np.float32)
-    arrays = [*(HostArray.of(device, array) for array in (u, v)), *folded.arrays]
-    items = points * samples // device.vector_width
-    folded.program().kernel("evaluate")(items, 0, points, samples, *arrays, value)
+    folded.program().kernel("evaluate")(
+        points * samples // device.vector_width,
+        first_point=0,
+        point_count=points,
+        stride=samples,
+        u=HostArray.of(device, u),
+        v=HostArray.of(device, v),
+        **folded.arrays,
+        value=value,
+    )
     return value.read().transpose(1, 2, 0)
 
 

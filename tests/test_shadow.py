@@ -55,10 +55,10 @@ def reaches(device, scene, origin, segment):
     result = HostArray(device, len(origin), np.int32)
     kernel(
         -(-len(origin) // device.vector_width),
-        len(origin),
-        HostArray.of(device, shadow_casters(scene)),
-        rays,
-        result,
+        count=len(origin),
+        casters=HostArray.of(device, shadow_casters(scene)),
+        rays=rays,
+        result=result,
     )
     return result.read().astype(bool)
 

@@ -20,7 +20,7 @@ from ncv_cl.integrands import DirectLight
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN
 from ncv_cl.visibility import shaft
-from ncv_cl.visibility.shaft import TOO_MANY
+from ncv_cl.visibility.shaft import MOST_LIGHTS, TOO_MANY
 
 CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
 FLOOR = quad([-4, -1, -4], [0, 0, 8], [8, 0, 0])
@@ -139,3 +139,17 @@ def test_large_images_have_shorter_lists(one_device, monkeypatch):
     monkeypatch.setattr(shaft, "LIST_BYTES", 1000)
     _, source, _ = sampling(one_device, soup(5), DirectLight(), (12, 10), 4, with_occluders=True)
     assert source.occluders.lists.shape[1] == shaft.MOST_OCCLUDERS[-1] + 1
+
+
+def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path):
+    text = (scenes / "interior.toml").read_text(encoding="utf-8")
+    lamp = "[[lights]]\ncorner = [{}, 2.5, 0]\nedge1 = [0.1, 0, 0]\nedge2 = [0, 0, 0.1]\nradiance = 1\n"
+    path = tmp_path / "lights.toml"
+    for lamps in (MOST_LIGHTS, MOST_LIGHTS + 1):
+        more = "".join(lamp.format(0.2 * k - 1) for k in range(lamps - 2))
+        path.write_text(text + more, encoding="utf-8")
+        options = {"spp": 8, "size": (16, 16), "device": one_device}
+        image = render(path, "direct", "mc", **options)
+        assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
+        traced = render(path, "direct", "mc", visibility="embree", **options)
+        np.testing.assert_array_equal(image.pixels, traced.pixels)

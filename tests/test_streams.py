@@ -58,8 +58,7 @@ def drawn(monkeypatch):
     streams, seeds, samples = defaultdict(set), set(), defaultdict(int)
     launch = Kernel.__call__
 
-    def spied(self, work_items, *arguments, **options):
-        given = dict(zip(self._argument_names, arguments, strict=True))
+    def spied(self, work_items, **given):
         if "stream" in given:
             streams[stage()].add(given["stream"])
             seeds.add((given["seed_low"], given["seed_high"]))
@@ -69,7 +68,7 @@ def drawn(monkeypatch):
             for point in given["order"].read()[first : first + count].tolist():
                 for number in numbers:
                     samples[given["stream"], point, number] += 1
-        return launch(self, work_items, *arguments, **options)
+        return launch(self, work_items, **given)
 
     monkeypatch.setattr(Kernel, "__call__", spied)
     return streams, seeds, samples

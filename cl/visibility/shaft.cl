@@ -5,9 +5,10 @@
  * triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
  * samples are tested against these (Haines and Wallace 1991, shaft culling); other points leave their rays to the host.
  *
- * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the light's
- * and the surface's own. A triangle all of whose corners lie outside one plane by more than rounding is left out;
- * what is kept though it cannot be hit costs time only.
+ * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the
+ * light's and the surface's own. A triangle all of whose corners lie outside one plane by more than
+ * rounding is left out. A triangle that is kept although no ray can hit it costs time, but changes no
+ * result.
  *
  * The test. With corners a, b, c relative to the origin and direction d, the signs of d.(b x c), d.(c x a) and
  * d.(a x b) say on which side of the three edges the ray passes. Of two triangles with a common edge one gets
@@ -35,14 +36,14 @@ typedef struct {
 void shaft_planes(const ShadingPoint *p, global const float *restrict light, const float tolerance,
                   Plane plane[SHAFT_PLANES]) {
   const float3 origin = ray_origin(p);
-  const float3 edge1 = vload3(1, light);
-  const float3 edge2 = vload3(2, light);
-  const float3 normal = vload3(3, light);
+  const float3 edge1 = vload3(0, light + LIGHT_EDGE1);
+  const float3 edge2 = vload3(0, light + LIGHT_EDGE2);
+  const float3 normal = vload3(0, light + LIGHT_NORMAL);
   const float offset = light_offset(light, p->position);
-  const float emitted = dot(normal, origin - vload3(0, light));
+  const float emitted = dot(normal, origin - vload3(0, light + LIGHT_CORNER));
   const float3 ends = emitted > 0.0f ? normal : -normal;
   float3 corner[4];
-  corner[0] = vload3(0, light) - origin + offset * ends;
+  corner[0] = vload3(0, light + LIGHT_CORNER) - origin + offset * ends;
   corner[1] = corner[0] + edge1;
   corner[2] = corner[1] + edge2;
   corner[3] = corner[0] + edge2;

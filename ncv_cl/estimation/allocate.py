@@ -32,7 +32,7 @@ class Allocation:
     counts : ndarray
         int64 (chosen,), samples of each of them.
     at_once : int
-        Of these, so many are among the first that are drawn at all.
+        Samples of a point that the first pass draws at least.
     """
 
     chosen: np.ndarray
@@ -48,8 +48,9 @@ class Allocation:
     def of_counts(cls, counts: np.ndarray) -> Allocation:
         """counts[i] samples for point i."""
         chosen = np.argsort(counts, kind="stable").astype(np.uint32)
-        # Where drawing ends early, no point has a single sample, of which there is no variance. All of
-        # its few must not come at once: by how its parts differ the error is known.
+        # If drawing ends early, no point may have a single sample, of which there is no variance; nor
+        # may all of a point's few samples come at once, since its error is read off the difference of
+        # its halves.
         return cls(chosen, np.asarray(counts, np.int64)[chosen], 2)
 
     def restricted(self, points: np.ndarray, total: int) -> Allocation:
@@ -65,13 +66,13 @@ class Allocation:
         return int(self.counts.sum())
 
     def converged(self) -> dict[str, int]:
-        """Points that get the fewest samples, since more would be of no use, and what that saves.
+        """How many points get the fewest samples, and how many samples that saves.
 
         Returns
         -------
         dict
-            ``converged_points``, none where all get alike, and ``converged_samples``, how many less
-            than the average they get in all.
+            ``converged_points``, 0 if all points get the same number, and ``converged_samples``, how
+            many samples less than the average they get together.
         """
         fewest = int(self.counts.min()) if len(self.counts) else 0
         points = int(np.count_nonzero(self.counts == fewest))
@@ -81,7 +82,7 @@ class Allocation:
         return {"converged_points": points, "converged_samples": round(saved)}
 
     def part(self, begin: int, end: int, whole: int) -> list[Run]:
-        """From `begin` to `end` of `whole` parts of all samples; from 0 `at_once` of each point's."""
+        """The samples of parts `begin` to `end` of `whole`; the first part has `at_once` at least."""
         firsts = np.flatnonzero(np.diff(self.counts, prepend=-1)).tolist()
         runs = []
         for first, last in itertools.pairwise([*firsts, len(self.counts)]):
@@ -100,9 +101,9 @@ def allocate(
 ) -> np.ndarray:
     """Samples for each point, as a power of its predicted residual; int64 (points,).
 
-    Numbers are powers of two, where Sobol points are best spread, at least `fewest` (or the average
-    where that is less), and `average` at most on average. They depend on nothing that the
-    samples themselves decide, so estimates stay unbiased.
+    Numbers are powers of two, for which Sobol points are best spread, at least `fewest` (or the average
+    if that is less), and their mean is at most `average`. They do not depend on the samples that are
+    then drawn, so estimates stay unbiased.
 
     Parameters
     ----------
@@ -132,8 +133,8 @@ def allocate(
     numbers = np.exp2(levels)
 
     def mean(shift: float) -> float:
-        """Of the numbers of samples where the logarithms of the weights are shifted."""
-        # Points up to the middle between two levels, in logarithms, belong to the lower one.
+        """Mean number of samples a point if all logarithms of weights are shifted by this."""
+        # A point takes the nearest level, in logarithms.
         ends = np.searchsorted(ranked, levels[:-1] + 0.5 - shift, side="left")
         return float(np.diff(ends, prepend=0, append=len(ranked)) @ numbers) / len(ranked)
 

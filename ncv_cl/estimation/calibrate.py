@@ -1,4 +1,4 @@
-"""The variance of estimates whose samples are not independent, from points that are estimated twice."""
+"""Variances of estimates from stratified samples, calibrated by points that are estimated twice."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ def points_done_twice(points: int, seed: int) -> np.ndarray:
 def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """Mean of `values` (points,) over the points within so many sub-pixels, along both axes.
 
-    `cell` are the points' sub-pixels, row-major on a grid of `rows` x `columns`. A few samples may
-    have missed what a point's neighbours saw. Values that are NaN do not count; zero where all are.
+    `cell` holds the points' sub-pixels, row-major on a grid of `rows` x `columns`. Neighbours help where
+    a point's few samples missed what theirs saw. NaN values do not count; the mean is 0 where all are
+    NaN.
     """
     known = ~np.isnan(values)
     radius = tuning.LOCAL_RADIUS
@@ -50,12 +51,12 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
 def calibrate(
     first: Estimate, second: Estimate, twice: np.ndarray, expected: np.ndarray, repeated: np.ndarray
 ) -> Estimate:
-    """One estimate of both, with a variance that holds for stratified samples.
+    """Merge two estimates into one, with a variance that holds for stratified samples.
 
     Half the squared difference of two independent estimates of a point is an unbiased estimate of their
-    variance, but one number is a poor one. So it is averaged over points for which about the same
-    variance was expected: classes of neighbours in that order, between whose middles the ratio of
-    measured to expected is interpolated.
+    variance, but a single one is very noisy. So points are sorted by their expected variance and cut
+    into classes; each class gives one ratio of measured to expected variance. Between the classes'
+    middles the ratio is interpolated, and every point's expected variance is multiplied by it.
 
     Parameters
     ----------
@@ -66,20 +67,20 @@ def calibrate(
     twice : ndarray
         uint32.
     expected : ndarray
-        (channels, points), what is expected of the first estimate's variance, up to a factor that may
-        depend on it: `steadied` or `halves`.
+        (channels, points), the first estimate's expected variance, from `steadied` or `halves`. Only its
+        order and its ratios within a class matter.
     repeated : ndarray
         (channels, points done twice), the same of the second estimate.
     """
     difference = first.mean[:, twice] - second.mean[:, twice]
     measured = 0.5 * difference**2
-    # What fewer than two samples say of a point is not taken for its variance.
+    # With fewer than two samples a point has no variance of its own.
     expected = np.where(first.known, expected, np.nan)
     both = 0.5 * (expected[:, twice] + repeated)
     if np.any(both > 0):
         found = expected * _ratio_curve(both.ravel(), measured.ravel(), expected)
     else:
-        # No point's own samples differ, its two estimates may.
+        # Even if no point's samples differ, its two estimates may.
         found = np.where(np.isnan(expected), np.nan, measured.mean())
     mean, variance, samples = first.mean.copy(), found, first.samples.copy()
     mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
@@ -89,10 +90,11 @@ def calibrate(
 
 
 def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """What to expect of the variance of `mean`, of all samples, from that of a `part` of them.
+    """Expected variance of `mean`, from its difference to the mean of a `part` of the samples.
 
-    Up to a factor that all points share, the squared difference of two parts of a point's samples is an
-    estimate of its variance however its samples are spread; that of its neighbours steadies it.
+    Up to a factor that all points share, the squared difference between parts of a point's samples
+    estimates its variance, for any sampler. It is averaged with its neighbours', which makes it less
+    noisy.
 
     Parameters
     ----------
@@ -107,9 +109,10 @@ def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, r
 
 
 def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
-    """Variances of single samples, (channels, points), each with the prior's mixed in.
+    """Variances of single samples, (channels, points), each averaged with the prior.
 
-    Where there are few samples their variance is itself uncertain; with fewer than two it stays unknown.
+    The variance of few samples is itself uncertain, so the prior counts as `PRIOR_SAMPLES` more. With
+    fewer than two samples it stays unknown.
 
     Parameters
     ----------
@@ -133,7 +136,8 @@ def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) 
     number = np.clip(len(ranked) // tuning.VALUES_A_CLASS, 1, tuning.MOST_CLASSES)
     classes = np.array_split(ranked, int(number))
     sums = np.array([expected[one].sum() for one in classes])
-    # Where a class lies is weighted as its sum is, or steep curves would be read at the wrong place.
+    # The middle of a class is the mean logarithm weighted by the expected variance, as its sum is; else
+    # steep curves would be read at the wrong place.
     middle = np.array([(expected[one] @ np.log(expected[one])) for one in classes]) / sums
     ratios = np.array([measured[one].sum() for one in classes]) / sums
     # Straight between logarithms, constant beyond the first and the last class.

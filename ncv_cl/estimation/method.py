@@ -23,7 +23,7 @@ def kind_of(integrand: Integrand, sampler: str) -> str:
 
 
 def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
-    """ "ncv" from so many samples of the image on, else "mc"; and why.
+    """The method, "ncv" if the image has enough samples, else "mc"; and why, in words.
 
     Training takes about the same time for every image, and what it takes off grows with the samples.
     """

@@ -7,14 +7,41 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET
 from ..scene.load import Scene
 from . import tuning
 from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
-LIGHT_FLOATS = 32
-# Floats between the records and the rows of strips: the cells' grid and where their table is.
-FRAME_FLOATS = 16
+# A light, in the scene's frame. `normal` is that of the emitting side and `offset` that of ray ends off
+# the light's plane, for rays from the scene's origin; `along` is the unit vector along edge2, of that
+# `length`, and `across` that across it in the plane, by which edge1 measures `width`; `slope` is edge1
+# along edge2 over that; at less than the root of `large` from its middle the light is not small.
+LIGHT = Record(
+    "LIGHT",
+    {
+        "corner": 3,
+        "edge1": 3,
+        "edge2": 3,
+        "normal": 3,
+        "radiance": 3,
+        "unused": 2,
+        "two_sided": 1,
+        "offset": 1,
+        "area": 1,
+        "along": 3,
+        "across": 3,
+        "length": 1,
+        "width": 1,
+        "slope": 1,
+        "large": 1,
+    },
+    multiple=16,
+)
+# Between the records and the rows of strips: the grid of cells by its lower corner, one over the extent
+# of its boxes and how many there are along each axis, and where the table of cells begins.
+FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1}, multiple=16)
+STRIP = Record("STRIP", {"first": 1, "width": 1})
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
 FEWEST_STRIP_STEPS = 16
 STEPS_A_LIGHT = 4
@@ -80,7 +107,7 @@ class LightRows:
 
     @property
     def strips(self) -> np.ndarray:
-        """Where strips begin and how wide they are, float64 (rows, lights, 2)."""
+        """Where strips begin and how wide they are, float64 (rows, lights, STRIP.size)."""
         return np.stack([np.cumsum(self.widths, axis=1) - self.widths, self.widths], axis=2)
 
 
@@ -136,9 +163,12 @@ def _light_records(scene: Scene) -> np.ndarray:
     owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
     strips = rows.strips.reshape(len(rows.widths), -1)
     each = np.concatenate([owner.reshape(-1, steps), strips], axis=1)
-    frame = np.zeros(FRAME_FLOATS)
-    frame[:9] = *rows.cells.lower, *rows.cells.inverse, *rows.cells.counts
-    frame[9] = len(records) + FRAME_FLOATS + each.size
+    frame = FRAME.pack(
+        lower=rows.cells.lower,
+        inverse=rows.cells.inverse,
+        counts=rows.cells.counts,
+        table=len(records) + FRAME.size + each.size,
+    )
     parts = (records, frame, each.ravel(), rows.table)
     return np.concatenate([part.astype(np.float32) for part in parts])
 
@@ -148,8 +178,9 @@ def light_defines(scene: Scene) -> dict[str, int]:
     count = len(scene.lights)
     return {
         "LIGHT_COUNT": count,
-        "LIGHT_FLOATS": LIGHT_FLOATS,
-        "FRAME_FLOATS": FRAME_FLOATS,
+        **LIGHT.defines(),
+        **FRAME.defines(),
+        **STRIP.defines(),
         "STRIP_STEPS": int(_steps(count)),
     }
 
@@ -177,11 +208,11 @@ def _steps(count: np.ndarray | int) -> np.ndarray:
 
 
 def _row_floats(count: int) -> int:
-    return int(_steps(count)) + 2 * count
+    return int(_steps(count)) + STRIP.size * count
 
 
 def _records_of(lights: Lights) -> np.ndarray:
-    """float32 (lights * LIGHT_FLOATS,)."""
+    """float32 (lights * LIGHT.size,)."""
     edge1, edge2 = lights.edges.transpose(1, 0, 2)
     reach = np.abs(lights.edges).sum(axis=1)
     centre = np.abs(lights.corner + 0.5 * (edge1 + edge2))
@@ -190,24 +221,21 @@ def _records_of(lights: Lights) -> np.ndarray:
     vector_area = np.cross(edge1, edge2)
     across = np.cross(along, vector_area / np.linalg.norm(vector_area, axis=1, keepdims=True))
     width = (edge1 * across).sum(axis=1)
-    unused = np.zeros((len(length), 2))
-    columns = (
-        lights.corner,
-        edge1,
-        edge2,
-        lights.normal,
-        lights.radiance,
-        unused,
-        lights.two_sided,
-        RELATIVE_OFFSET * (np.abs(lights.normal) * (centre + reach)).sum(axis=1),
-        lights.area,
-        along,
-        across,
-        length,
-        width,
-        (edge1 * along).sum(axis=1) / width,
-        (lights.edges**2).sum(axis=(1, 2)) / tuning.SMALL_LIGHT**2,
-        unused,
+    records = LIGHT.pack(
+        corner=lights.corner,
+        edge1=edge1,
+        edge2=edge2,
+        normal=lights.normal,
+        radiance=lights.radiance,
+        unused=np.zeros(2),
+        two_sided=lights.two_sided,
+        offset=RELATIVE_OFFSET * (np.abs(lights.normal) * (centre + reach)).sum(axis=1),
+        area=lights.area,
+        along=along,
+        across=across,
+        length=length,
+        width=width,
+        slope=(edge1 * along).sum(axis=1) / width,
+        large=(lights.edges**2).sum(axis=(1, 2)) / tuning.SMALL_LIGHT**2,
     )
-    records = np.concatenate([np.reshape(column, (len(length), -1)) for column in columns], axis=1)
-    return records.astype(np.float32).ravel()
+    return records.ravel()

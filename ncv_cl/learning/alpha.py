@@ -1,4 +1,4 @@
-"""The control coefficient α: how much of the network each part of the image takes off."""
+"""The control coefficients α of the points: α g is subtracted from f in place of g."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .train import TrainingSamples
 
 
 def can_scale(folded: FoldedNetwork) -> bool:
-    """Whether every point has an output layer of its own, which takes its coefficient."""
+    """Whether every point has an output layer of its own, which its coefficient can multiply."""
     return {"W3", "B3"} <= set(folded.network.description.modulated)
 
 
@@ -24,9 +24,9 @@ def control_coefficients(
 ) -> np.ndarray:
     """α for every point and channel, float32 (channels, points.active).
 
-    The variance of f − α g is least for α = Cov(f, g) / Var(g). Both are taken over the training samples
-    alone, since coefficients from the samples that estimate the residual would bias it, and pooled over
-    tiles of the image: a point has few training samples, or none.
+    The variance of f − α g is least for α = Cov(f, g) / Var(g). Both are estimated from the training
+    samples, since coefficients from the residual's own samples would bias it. They are pooled over tiles
+    of the image, since a point has few training samples, or none.
 
     Parameters
     ----------
@@ -56,12 +56,16 @@ def control_coefficients(
 
 
 def scale(folded: FoldedNetwork, alpha: np.ndarray) -> None:
-    """Make g of each point α g; points whose α is zero are skipped by integration and inference."""
+    """Multiply each point's g by its α; integration and inference skip points whose α is zero."""
     program = build(folded.device, ("common", "mlp", "alpha"), folded.network.description.defines())
     count = alpha.shape[1]
     groups = folded.groups
     program.kernel("scale_outputs")(
-        count, count, HostArray.of(folded.device, alpha), groups["W3"], groups["B3"]
+        count,
+        count=count,
+        alpha=HostArray.of(folded.device, alpha),
+        w3=groups["W3"],
+        b3=groups["B3"],
     )
     folded.device.queue.finish()
 
@@ -74,15 +78,15 @@ def _column_moments(folded: FoldedNetwork, samples: TrainingSamples) -> np.ndarr
     moments = HostArray(device, (2, description.channels, stride), np.float32)
     program.kernel("column_moments")(
         samples.count,
-        samples.count,
-        stride,
-        samples.samples,
-        samples.order,
-        samples.u,
-        samples.v,
-        samples.target,
-        *folded.arrays,
-        moments,
+        count=samples.count,
+        stride=stride,
+        samples=samples.samples,
+        order=samples.order,
+        all_u=samples.u,
+        all_v=samples.v,
+        all_targets=samples.target,
+        **folded.arrays,
+        moments=moments,
     )
     return moments.read()[..., : samples.count].astype(np.float64)
 

@@ -1,4 +1,4 @@
-"""How many training samples: rounds of them, and whether another round pays for itself."""
+"""The number of training samples: rounds of them, and whether another round would pay."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class Round:
 
 @dataclass(frozen=True)
 class Budget:
-    """What may be drawn for training.
+    """The training samples that may be drawn.
 
     Attributes
     ----------
     rounds : list of Round
-        In their order; no sample is in two of them.
+        In the order in which they are drawn; no sample is in two of them.
     held_out : Round, optional
-        Samples to measure networks on, at points of none of the rounds. None where there is nothing to
-        decide.
+        Samples to measure networks on, at points that no round uses. None if there is one round only, so
+        nothing to decide.
     """
 
     rounds: list[Round]
@@ -105,9 +105,10 @@ def _sizes(most: int) -> list[int]:
 
 
 def _spread(count: int, blocks: int, generator: np.random.Generator) -> np.ndarray:
-    """All of `count` numbers in an order of which every run of `blocks` is spread over all of them.
+    """The numbers below `count` in such an order that each run of `blocks` of them is spread evenly.
 
-    One at random of each of so many blocks of neighbours, then another of each, and so on.
+    The numbers are cut into `blocks` blocks of neighbours; the order takes one at random from each
+    block, then another from each, and so on.
     """
     length = -(-count // blocks)
     picks = generator.permuted(np.arange(blocks * length).reshape(blocks, length), axis=1)
@@ -130,7 +131,7 @@ def _rounds(order: np.ndarray, sizes: list[int]) -> list[Round]:
             continue
         samples = min(size, tuning.SAMPLES_A_POINT)
         count = size // samples
-        # What would be too few for a round goes with this one.
+        # A rest too small for a round of its own is added to this one.
         count = unused if (unused - count) * samples < size else count
         rounds.append(Round(order[begin : begin + count], range(samples)))
         begin += count

@@ -1,4 +1,4 @@
-"""Training samples drawn, round after round, and a network trained on them."""
+"""Draw training samples round by round, and train a network on them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Learned:
         after each round the variance of f - g over that of f at points that are not trained on. Empty
         where no points were held out.
     guide : Guide, optional
-        Where light comes from, for paths behind the first bounce.
+        Densities that guide bounces behind the first; `gi` only.
     """
 
     estimate: Estimate
@@ -58,9 +58,9 @@ class Learned:
 
 
 def learn(problem: Problem, settings: Settings, run: Run) -> Learned:
-    """Draw training samples and fit a network; once more at a tenth of the rate where that diverges.
+    """Draw training samples and train a network; if that diverges, again at a tenth of the rate.
 
-    Training ends in its part of a time limit, with the rounds that were done until then.
+    With a time limit training ends after `TRAINING_SHARE` of it, with the rounds done until then.
     """
     if settings.guides:
         problem.source.record_guide()
@@ -91,8 +91,8 @@ def _fitted(problem: Problem, settings: Settings, run: Run) -> Learned:
 def training_budget(settings: Settings, active: int) -> Budget:
     """The samples that training `active` points may take.
 
-    Held-out variance decides where it tells all that samples are good for: guides learn from them too,
-    and a schedule of whole frames needs every point.
+    The variance at held-out points decides how many rounds there are, except in two cases: if the
+    samples also train guides, whose gain it does not show, and if the schedule needs every point.
     """
     if settings.training.train_spp == "auto" and settings.preset.subset and not settings.guides:
         return plan(active, settings.spp, settings.seed)
@@ -104,7 +104,7 @@ def training_budget(settings: Settings, active: int) -> Budget:
 
 @dataclass
 class _Rounds:
-    """What the rounds so far have left: `found` is samples and held-out variances after each."""
+    """The state after some rounds; `found` holds samples and held-out variances after each."""
 
     network: Network | None = None
     trainer: Trainer | None = None
@@ -117,7 +117,7 @@ class _Rounds:
 
 @dataclass(frozen=True)
 class _Learning:
-    """What the attempts to train one network share."""
+    """The inputs of training; `attempt` trains one network."""
 
     problem: Problem
     settings: Settings
@@ -131,7 +131,7 @@ class _Learning:
         budget = training_budget(self.settings, points.active)
         accumulator = Accumulator(self.problem.device, points, self.settings.integrand.channels)
         done = _Rounds()
-        # Out of time, the rounds done before are what there is.
+        # When the time is over, the rounds done before count.
         with suppress(OutOfTime):
             self._rounds(budget, slower, accumulator, done)
         about: dict[str, object] = {
@@ -146,7 +146,7 @@ class _Learning:
         return Learned(accumulator.result(), network, samples, about)
 
     def _rounds(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
-        """Round after round, until they are over or the next one would not pay."""
+        """Do round after round, until none is left or the next one would not pay."""
         source, held_out = self.problem.source, None
         rays = source.rays.traced
         if budget.held_out is not None:
@@ -206,7 +206,7 @@ class _Learning:
         previous: Trainer | None,
         losses: list[float],
     ) -> Trainer:
-        """One round, in parts if its samples are too many to be held; adds each part's loss."""
+        """Train one round, in parts if memory cannot hold its samples; appends each part's loss."""
         chosen, numbers = current.chosen, current.samples
         held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
         firsts = range(numbers.start, numbers.stop - held + 1, held)
@@ -227,7 +227,7 @@ class _Learning:
 
     @property
     def _check(self) -> Callable[[], None] | None:
-        """What raises `OutOfTime`, where there is a limit."""
+        """A function that raises `OutOfTime`; None without a time limit."""
         return None if self.run.clock.limit is None else lambda: self.run.clock.check(TRAINING_SHARE)
 
     def _draw(

@@ -28,7 +28,7 @@ class Encoding:
     Attributes
     ----------
     inputs : tuple of str
-        Which of `INPUTS` are fed. Position is always among them.
+        Which of `INPUTS` the network gets. Position is always one of them.
     grid_levels, grid_features, grid_base, grid_entries : int
         The hash grid over position: levels, features a level, cells an axis of the coarsest level
         (each next one has twice as many), table entries a level.
@@ -44,7 +44,7 @@ class Encoding:
     blob_bins: int = 4
 
     def __post_init__(self) -> None:
-        # Whatever a file says ends up in kernels' constants.
+        # A network's file sets these, and they become constants of kernels: so they are checked.
         some_of("inputs", self.inputs, INPUTS)
         if "position" not in self.inputs:
             raise ValueError(f"inputs must hold position, are {self.inputs!r}")
@@ -127,8 +127,9 @@ class GridCube:
     def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
         """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
 
-        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
-        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        In world space. The finest cells are a fixed part of the cube, so around a ground that reaches to
+        the horizon everything in view would lie in one cell. A few points may lie outside the cube; they
+        count as on its sides.
         """
         whole = cls.around(bounds)
         if not points.active:
@@ -138,10 +139,10 @@ class GridCube:
         seen = cls.around(most)
         return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
 
-    def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
+    def about(self, origin: np.ndarray) -> dict[str, float]:
         """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
-        x, y, z = np.asarray(self.lower) - origin
-        return float(x), float(y), float(z), 1.0 / self.side
+        x, y, z = (np.asarray(self.lower) - origin).tolist()
+        return {"lower_x": x, "lower_y": y, "lower_z": z, "inverse_side": 1.0 / self.side}
 
 
 class Encoder:
@@ -172,14 +173,14 @@ class Encoder:
         self._corners = (encoding.grid_levels * 8, self.stride)
         self._program.kernel("encode_fixed")(
             self._items,
-            self.count,
-            self.stride,
-            points.total,
-            *cube.about(points.origin),
-            order,
-            points.surface,
-            self._unit,
-            self.features,
+            count=self.count,
+            stride=self.stride,
+            total_points=points.total,
+            **cube.about(points.origin),
+            order=order,
+            surface=points.surface,
+            unit=self._unit,
+            features=self.features,
         )
 
     @property
@@ -190,7 +191,12 @@ class Encoder:
     def encode_grid(self, table: HostArray) -> None:
         """Refresh the grid's feature rows from `table`."""
         self._program.kernel("encode_grid")(
-            self._items, self.count, self.stride, self._unit, table, self.features
+            self._items,
+            count=self.count,
+            stride=self.stride,
+            unit=self._unit,
+            table=table,
+            features=self.features,
         )
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +205,12 @@ class Encoder:
         corner = HostArray(device, self._corners, np.uint32)
         weight = HostArray(device, self._corners, np.float32)
         self._program.kernel("grid_corners")(
-            self._items, self.count, self.stride, self._unit, corner, weight
+            self._items,
+            count=self.count,
+            stride=self.stride,
+            unit=self._unit,
+            corner=corner,
+            weight=weight,
         )
         return corner.read()[:, : self.count], weight.read()[:, : self.count]
 
@@ -247,7 +258,7 @@ class GridIndex:
         uint32 (columns, levels * 8), the entries around each column.
     batches : list of range
         For each minibatch, its items in `entries` and `starts`.
-    arrays : tuple of HostArray
+    arrays : dict of HostArray
         entries, starts, places and weights as adam.cl reads them.
     """
 
@@ -264,7 +275,7 @@ class GridIndex:
         parts: list[list[np.ndarray]] = [[], [], [], []]
         self.batches = []
         entries = pairs = 0
-        # Batch by batch, so that what is sorted and gathered stays in the cache.
+        # One minibatch at a time, so that what is sorted stays in the cache.
         for batch in batches:
             own = slice(batch.start, batch.stop)
             entry, starts, number = _by_entry(corner[:, own])
@@ -276,7 +287,8 @@ class GridIndex:
             entries += len(entry)
             pairs += len(number)
         parts[1].append(np.array([pairs], np.uint32))
-        self.arrays = tuple(HostArray.of(device, np.concatenate(part)) for part in parts)
+        whole = (HostArray.of(device, np.concatenate(part)) for part in parts)
+        self.arrays = dict(zip(("entries", "starts", "places", "weights"), whole, strict=True))
 
 
 def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""From a scene to what an image's samples are drawn with: traced points, and their source."""
+"""From a scene to its `Problem`: shading points, and the source of their samples."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def prepare(
     threads: int | None,
     watch: Stopwatch,
 ) -> Problem:
-    """Trace the camera's rays, and make ready to sample the points that they hit.
+    """Trace the camera's rays, and set up the sampling of the points that they hit.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def prepare(
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:
-    """Points that cannot see a light are left out; all others keep their samples either way."""
+    """The points without those that face away from every light; the others keep their samples."""
     dark = settings.integrand.dark(scene, points)
     if dark is None:
         return points

@@ -1,4 +1,4 @@
-"""Where light comes from, everywhere in a scene: densities that guide the bounces behind the first."""
+"""Densities that guide bounces behind the first: from where light arrives, in each cell of the scene."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..opencl.layout import Record
 from ..scene.load import Scene
 from . import tuning
 from .warp import DENSITY_BINS, pack_records
@@ -16,20 +17,24 @@ GUIDE_CELLS = 6 * tuning.GUIDE_SIDE**3
 BINS = DENSITY_BINS**2
 
 
+# The scene's box: its lower corner, and how many boxes there are to a unit of length.
+FRAME = Record("GUIDE_FRAME", {"corner": 3, "cells": 3})
+
+
 def guide_frame(scene: Scene) -> np.ndarray:
-    """What guide.cl reads of the scene's box: lower corner, cells a unit of length; float32 (6,)."""
+    """What guide.cl reads of the scene's box, float32 (FRAME.size,)."""
     lower, upper = scene.bounds.astype(np.float64)
     extent = np.maximum(upper - lower, 1e-6 * (upper - lower).max())
-    return np.concatenate([lower, tuning.GUIDE_SIDE / extent]).astype(np.float32)
+    return FRAME.pack(corner=lower, cells=tuning.GUIDE_SIDE / extent)
 
 
 def guide_defines() -> dict[str, int]:
     """The `-D` constants of guide.cl, beside those of warp.cl."""
-    return {"GUIDE_SIDE": tuning.GUIDE_SIDE, "GUIDE_CHANNELS": 3}
+    return {"GUIDE_SIDE": tuning.GUIDE_SIDE, "GUIDE_CHANNELS": 3, **FRAME.defines()}
 
 
 class Guide(NamedTuple):
-    """What guides paths.
+    """Densities that guide bounces, and mean radiances.
 
     Attributes
     ----------
@@ -70,7 +75,8 @@ class GuideRecorder:
     def guide(self) -> Guide:
         """Densities as the root mean square of the radiance, and means.
 
-        A part of which few samples are known leans on its cell's mean, and a cell on that of all.
+        A part of the square with few samples is averaged with its cell's mean, and a cell with few
+        samples with the mean of all cells.
         """
         prior, uniform = tuning.GUIDE_PRIOR_SAMPLES, tuning.GUIDE_UNIFORM_SHARE
         count, second = self.count.reshape(GUIDE_CELLS, BINS), self.second.reshape(GUIDE_CELLS, BINS)

@@ -1,4 +1,4 @@
-"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+"""Samples with a path behind the first bounce, in wavefronts: each value is itself an estimate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..integrands import GlobalIllumination, Integrand
 from ..opencl.device import Device, HostArray
 from ..opencl.program import build
-from ..points.points import RELATIVE_OFFSET, ShadingPoints, surface_defines, triangle_spreads
+from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
 from ..points.trace import Hits, Tracer
 from ..scene.load import Scene
@@ -18,6 +18,7 @@ from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, sha
 from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
+from .triangles import triangle_records
 from .warp import Warp, warp_defines
 
 # A depth that no path reaches.
@@ -47,7 +48,7 @@ def sample_source(
 
 
 class _Wave:
-    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
+    """Memory for the rays of one bounce and their hits, as wave.cl lays it out.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ class _Wave:
     plane : int
         Elements of a plane.
     rays, shadows, tested : int
-        How many go on, how many end at a light, and how many of those kernels have answered.
+        Numbers of path rays, of shadow rays, and of shadow rays that kernels have answered.
     """
 
     def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
@@ -136,7 +137,11 @@ class PathSource(SampleSource):
         few = shadows_tested and len(scene.triangles) <= MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
-        self._guide: list[HostArray] = []
+        # What no kernel reads before there is a guide.
+        self._guided = False
+        self._guide_densities, self._guide_means = (
+            HostArray(device, 1, t) for t in (np.uint32, np.float32)
+        )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
         self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
@@ -177,12 +182,13 @@ class PathSource(SampleSource):
 
     def use_guide(self, guide: Guide) -> None:
         """Guide bounces behind the first."""
-        self._guide = [HostArray.of(self.device, array) for array in guide]
+        self._guided = True
+        self._guide_densities, self._guide_means = (HostArray.of(self.device, a) for a in guide)
         self._choose_program()
 
     def _choose_program(self) -> None:
         recorded = self._recorder is not None
-        guided = bool(self._guide) and not recorded
+        guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         flags = {
             "RECORDED": int(recorded),
@@ -223,12 +229,12 @@ class PathSource(SampleSource):
         count = len(batch.points) * batch.stride
         self._paths.kernel("finish_paths")(
             -(-count // self.device.vector_width),
-            count,
-            self._most,
-            batch.slot,
-            batch.visible,
-            self._radiance,
-            batch.value,
+            count=count,
+            most=self._most,
+            slot=batch.slot,
+            visible=batch.visible,
+            radiance=self._radiance,
+            value=batch.value,
         )
         self.device.queue.finish()
         traced = self.rays.trace_seconds - traced
@@ -244,20 +250,20 @@ class PathSource(SampleSource):
         wave.make_room(len(batch.points) * batch.stride)
         self._paths.kernel("begin_paths")(
             len(batch.points) * batch.stride // self.device.vector_width,
-            batch.points.start,
-            len(batch.points),
-            self.points.total,
-            batch.samples,
-            batch.stride,
-            self._max_depth,
-            batch.order,
-            self.points.surface,
-            self._data,
-            batch.u,
-            batch.v,
-            self._radiance,
-            wave.plane,
-            wave.words,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            total_points=self.points.total,
+            sample_count=batch.samples,
+            stride=batch.stride,
+            max_depth=self._max_depth,
+            order=batch.order,
+            surface=self.points.surface,
+            lights=self._data,
+            u=batch.u,
+            v=batch.v,
+            radiance=self._radiance,
+            plane=wave.plane,
+            wave=wave.words,
         )
 
     def _under_way(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -287,7 +293,11 @@ class PathSource(SampleSource):
         wave = self._wave
         if wave.shadows:
             self._paths.kernel("add_lit")(
-                wave.shadows, wave.shadows, wave.plane, wave.words, self._radiance
+                wave.shadows,
+                count=wave.shadows,
+                plane=wave.plane,
+                wave=wave.words,
+                radiance=self._radiance,
             )
 
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
@@ -296,27 +306,28 @@ class PathSource(SampleSource):
         following.make_room(wave.rays)
         self._paths.kernel("shade_hits")(
             -(-wave.rays // self.device.vector_width),
-            wave.rays,
-            self._max_depth,
-            bounce,
-            batch.points.start,
-            first_sample,
-            batch.stride,
-            1.0 / batch.stride,
-            stream,
-            *self._seed,
-            batch.order,
-            self._triangles,
-            self._data,
-            self._casters,
-            self._frame,
-            *(self._guide or (self._frame, self._frame)),
-            self._place,
-            wave.plane,
-            wave.words,
-            self._radiance,
-            following.plane,
-            following.words,
+            count=wave.rays,
+            max_depth=self._max_depth,
+            bounce=bounce,
+            first_point=batch.points.start,
+            first_sample=first_sample,
+            stride=batch.stride,
+            inverse_stride=1.0 / batch.stride,
+            stream=stream,
+            **self._seed,
+            order=batch.order,
+            triangles=self._triangles,
+            lights=self._data,
+            casters=self._casters,
+            guide_frame=self._frame,
+            guide=self._guide_densities,
+            guide_mean=self._guide_means,
+            guide_place=self._place,
+            plane=wave.plane,
+            wave=wave.words,
+            radiance=self._radiance,
+            next_plane=following.plane,
+            next_wave=following.words,
         )
         self._wave, self._next = following, wave
 
@@ -325,39 +336,3 @@ def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArr
     array = HostArray(device, shape, dtype)
     array.fill(0)
     return array
-
-
-def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
-    """What paths.cl reads of the triangles, float32 (triangles, floats), and its `-D` constants."""
-    corners = scene.vertices[scene.triangles].astype(np.float64)
-    edges = corners[:, 1:] - corners[:, :1]
-    # Scaled before the cross product, whose squared length is very small for small triangles.
-    scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
-    normals = np.cross(scaled[:, 0], scaled[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
-    smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
-    offsets[smooth] *= -1.0
-    materials = [scene.materials[index] for index in range(len(scene.materials))]
-    rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
-            for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
-    own = scene.triangle_material
-    defines = {
-        "HAS_EMISSION": int(rows["emission"].any()),
-        "HAS_NORMALS": int(scene.vertex_normals.any()),
-    }
-    parts = [
-        normals,
-        np.sum(normals * corners[:, 0], axis=1, keepdims=True),
-        offsets[:, None],
-        scene.triangle_light[:, None],
-        rows["albedo"][own],
-    ]
-    if rows["reflectance"].any():
-        parts += [rows["reflectance"][own], rows["roughness"][own]]
-    if defines["HAS_EMISSION"]:
-        parts.append(rows["emission"][own])
-    if defines["HAS_NORMALS"]:
-        parts.append(scene.vertex_normals[scene.triangles].reshape(len(corners), 9))
-    records = np.concatenate(parts, axis=1).astype(np.float32)
-    return records, {**defines, "TRIANGLE_FLOATS": records.shape[1]}

@@ -17,7 +17,7 @@ from ..scene.load import Scene
 from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
 from .warp import Warp
 
-# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
+# Slots of samples without a ray: their value is zero, or they are known to see the light.
 NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -37,7 +37,7 @@ def ray_defines() -> dict[str, str]:
 
 @dataclass
 class RayCount:
-    """How many rays were traced, how many were not worth tracing, and seconds.
+    """How many rays were traced, how many samples needed none, and seconds.
 
     Attributes
     ----------
@@ -182,16 +182,24 @@ class SampleSource(Batches):
         }
         shaft: tuple[str, ...] = ()
         self.occluders = occluders
-        self._occluders: list[object] = []
+        self._occluders: dict[str, object] = {}
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
-            self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+            self._occluders = {
+                "corner_stride": occluders.stride,
+                "occluders": occluders.lists,
+                "corners": occluders.corners,
+            }
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         point_kernel = integrand.point_kernel(scene)
         if point_kernel is not None:
             self._program.kernel(point_kernel)(
-                points.active, points.active, points.total, points.surface, self._data
+                points.active,
+                point_count=points.active,
+                total_points=points.total,
+                surface=points.surface,
+                integrand_data=self._data,
             )
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
@@ -207,13 +215,13 @@ class SampleSource(Batches):
         means = HostArray(self.device, (self.channels, active), np.float32)
         self._program.kernel("unshadowed_means")(
             active,
-            active,
-            self.points.total,
-            Stream.UNSHADOWED,
-            *self._seed,
-            self.points.surface,
-            self._data,
-            means,
+            point_count=active,
+            total_points=self.points.total,
+            stream=Stream.UNSHADOWED,
+            **self._seed,
+            surface=self.points.surface,
+            integrand_data=self._data,
+            means=means,
         )
         return means
 
@@ -235,34 +243,34 @@ class SampleSource(Batches):
         count = len(samples)
         stride = self._stride_of(count)
         self._ray_count.fill(0)
-        program, warp = self._program, []
+        program, warp = self._program, {}
         if density is not None:
             files = (*self._warped_files, *density.files, "samples")
             program = build(self.device, files, self._warped_defines | density.defines)
-            warp = [density.records(order, points), self._weight]
+            warp = {"density": density.records(order, points), "weight": self._weight}
         program.kernel("draw_samples")(
             len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
-            points.start,
-            len(points),
-            self.points.total,
-            samples.start,
-            count,
-            stride,
-            stream,
-            *self._seed,
-            order,
-            self.points.surface,
-            self._data,
-            *warp,
-            *self._occluders,
-            self._u,
-            self._v,
-            self._value,
-            self._slot,
-            self._origins,
-            self._directions,
-            self._distances,
-            self._ray_count,
+            first_point=points.start,
+            point_count=len(points),
+            total_points=self.points.total,
+            first_sample=samples.start,
+            sample_count=count,
+            stride=stride,
+            stream=stream,
+            **self._seed,
+            order=order,
+            surface=self.points.surface,
+            integrand_data=self._data,
+            **warp,
+            **self._occluders,
+            u=self._u,
+            v=self._v,
+            value=self._value,
+            slot=self._slot,
+            origins=self._origins,
+            directions=self._directions,
+            distances=self._distances,
+            ray_count=self._ray_count,
         )
         rays, on_device = self._ray_count.read().tolist()
         started = time.perf_counter()
@@ -280,4 +288,4 @@ class SampleSource(Batches):
         self.rays.on_device += on_device
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, count, stride, *arrays, *warp[1:])
+        return Batch(points, order, count, stride, *arrays, warp.get("weight"))

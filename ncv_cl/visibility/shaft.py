@@ -69,29 +69,29 @@ class Occluders:
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
         build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")(
             points.active,
-            points.active,
-            points.total,
-            TOLERANCE * float(np.abs(scene.bounds).max()),
-            len(corners),
-            self.stride,
-            rows.shape[1],
-            counts[0],
-            firsts[1],
-            counts[1],
-            firsts[2],
-            counts[2],
-            points.surface,
-            HostArray.of(device, integrand.data(scene)),
-            boxes,
-            self.corners,
-            self.lists,
-            lengths,
+            point_count=points.active,
+            total_points=points.total,
+            tolerance=TOLERANCE * float(np.abs(scene.bounds).max()),
+            triangle_count=len(corners),
+            corner_stride=self.stride,
+            box_stride=rows.shape[1],
+            count_0=counts[0],
+            first_1=firsts[1],
+            count_1=counts[1],
+            first_2=firsts[2],
+            count_2=counts[2],
+            surface=points.surface,
+            lights=HostArray.of(device, integrand.data(scene)),
+            boxes=boxes,
+            corners=self.corners,
+            occluders=self.lists,
+            lengths=lengths,
         )
         self._lengths = lengths.read()
 
     @property
     def unknown(self) -> int:
-        """Points that have too many to be listed, whose rays are traced."""
+        """Points with too many occluders for a list, whose rays are traced."""
         return int(np.count_nonzero(self._lengths == TOO_MANY))
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
