@@ -14,7 +14,8 @@ from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
-from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
+from ..visibility import tuning as visibility_tuning
+from ..visibility.shaft import Occluders
 from .warp import Warp
 
 # Slots of samples without a ray: their value is zero, or they are known to see the light.
@@ -177,7 +178,7 @@ class SampleSource(Batches):
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{visibility_tuning.BLOCKS_A_ITEM}u",
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
@@ -249,7 +250,7 @@ class SampleSource(Batches):
             program = build(self.device, files, self._warped_defines | density.defines)
             warp = {"density": density.records(order, points), "weight": self._weight}
         program.kernel("draw_samples")(
-            len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
+            len(points) * -(-stride // (self.device.vector_width * visibility_tuning.BLOCKS_A_ITEM)),
             first_point=points.start,
             point_count=len(points),
             total_points=self.points.total,

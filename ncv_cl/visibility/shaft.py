@@ -9,6 +9,7 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
+from . import tuning
 
 # Children of a box.
 BRANCH = 16
@@ -17,18 +18,13 @@ BRANCH = 16
 MOST_OCCLUDERS = (63, 31, 15)
 LIST_BYTES = 1 << 28
 TOO_MANY = 0xFFFFFFFF
-# Of more lights the shafts are not looked for: they cost by their number, and together hold something
-# nearly everywhere, so that rays are traced all the same (a hall with pillars: as fast either way at 8).
-MOST_LIGHTS = 8
-# Blocks of VEC rays of one point that one work-item draws and tests.
-BLOCKS_A_ITEM = 4
 # What rounding moves corners and planes by, of the largest coordinate.
 TOLERANCE = 16 * 2.0**-24
 
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= MOST_LIGHTS
+    return len(scene.lights) <= tuning.MOST_LIGHTS
 
 
 class Occluders:
@@ -105,7 +101,7 @@ class Occluders:
             "MOST_OCCLUDERS": f"{self._most}u",
             "OCCLUDER_WORDS": f"{self._most + 1}u",
             "TOO_MANY": f"{TOO_MANY}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{tuning.BLOCKS_A_ITEM}u",
         }
 
     @property
