@@ -81,6 +81,7 @@ PATHS = (("cornell_box", "gi"), ("interior", "gi"))
 GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
 LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
 PLAIN = {"method": "mc"}
+ON_LINES = {"method": "mc", "visibility": "lines"}
 PILOT = {"method": "mc", "allocation": "pilot"}
 VARIANCE = Trial(size=64, spp=16, of_variance=True)
 # What is not seen in the trial that suits most.
@@ -113,6 +114,9 @@ TRIALS = {
     "OWN_SHARE": replace(VARIANCE, options=PLAIN),
     "MOST_LIGHTS": Trial((("hall of 4", "direct"), ("hall of 8", "direct"), ("hall of 16", "direct"))),
     "BLOCKS_A_ITEM": Trial(LIGHTS, options=PLAIN, spp=512),
+    "MOST_GAPS": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "LINE_BLOCKS": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "SORTED_FROM": Trial(LIGHTS, options=ON_LINES, spp=256),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
     "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": Trial(PATHS),

@@ -1,6 +1,6 @@
 """Render a few pixels on the only device there is: what test_oclgrind.py runs under the simulator.
 
-Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY]
+Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBILITY]]
 """
 
 import sys
@@ -51,6 +51,7 @@ def main(
     vec: str,
     lanes: str,
     density: str | None = None,
+    visibility: str = "auto",
 ) -> None:
     avoid_false_reports()
     shrink_training()
@@ -63,6 +64,7 @@ def main(
         spp=4,
         size=(4, 4),
         device=device,
+        visibility=visibility,
         **fitting(method, sampler=sampler, train_spp=2, density=density),
     )
     print(f"{device.name}: {image.stats['points']} points, mean {float(image.pixels.mean())!r}")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fitting import fitting
 
 from ncv_cl import (
     AmbientOcclusion,
@@ -111,14 +112,17 @@ def render_everything(device: Device, folder: Path) -> None:
             preset=preset,
             device=device,
         )
-    render(scene, "ao", "ncv", spp=2, train_spp=1, size=(4, 4), density="subdivision", device=device)
+    options = {"spp": 2, "train_spp": 1, "size": (4, 4), "device": device}
+    render(scene, "ao", "ncv", density="subdivision", **options)
+    for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
+        scene.write_text(text, encoding="utf-8")
+        render(scene, "direct", "ncv", density=density, visibility="lines", **options)
 
 
 def estimate_everything(device: Device) -> None:
     """Integrals of a callable, sampled uniformly and by each density."""
-    trained = {"method": "ncv", "train_spp": 1}
-    for options in ({"method": "mc"}, trained, trained | {"density": "subdivision"}):
-        estimate(lambda u, v, point: u, spp=2, device=device, **options)
+    for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
+        estimate(lambda u, v, point: u, spp=2, device=device, **fitting(train_spp=1, **options))
 
 
 def integrate_everything(device: Device) -> None:

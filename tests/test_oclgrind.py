@@ -102,6 +102,14 @@ def test_simulator_finds_no_fault_in_a_density_by_the_subdivision(vec, lanes, sc
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("name", ["cornell_box", "interior"])
+def test_simulator_finds_no_fault_along_lines(name, vec, lanes, scenes, tmp_path):
+    arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "table", "lines")
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("hidden", ["5x4", "3x3x3"])
 @pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, tmp_path):

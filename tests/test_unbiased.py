@@ -39,13 +39,18 @@ METHODS = {
     "ncv-density": {"method": "ncv", "allocation": "uniform"},
     "ncv-subdivision": {"method": "ncv", "density": "subdivision"},
     "ncv-allocation": {"method": "ncv", "density": "none"},
+    "mc-lines": {"method": "mc", "visibility": "lines"},
+    "ncv-lines": {"method": "ncv", "visibility": "lines"},
 }
 SIZE = (24, 24)
 SEEDS = range(100, 108)
 SPP, TRAIN_SPP, REFERENCE_SPP = 48, 8, 8192
 CASES = [
     *itertools.product(SCENES, INTEGRANDS, ("mc", "ncv"), SAMPLERS),
-    *itertools.product(("occluders",), ("ao-height", "direct"), list(METHODS)[2:], SAMPLERS),
+    *itertools.product(("occluders",), ("ao-height", "direct"), list(METHODS)[2:-2], SAMPLERS),
+    *itertools.product(
+        ("cornell_box", "interior", "knot", "occluders"), ("direct",), list(METHODS)[-2:], SAMPLERS
+    ),
 ]
 FALSE_ALARMS = 1e-3 / len(CASES)
 # Rounding of float32 arithmetic, for pixels without variance.

@@ -112,15 +112,20 @@ INLINED LightLine light_line(const LightView *view, const real x, const real y) 
   return line;
 }
 
-/* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
-INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
-  const real angle = view_angle(view);
+/* Sends u to x across edge2; `angle` is the light's `view_angle`. */
+INLINED real view_x(const LightView *view, const real u, const real angle) {
   real sine, cosine;
   half_turn_sincos(u * angle, &sine, &cosine);
   const real toward = FMA(view->z, cosine, -view->x0 * sine);
   /* Tangent of theta by the sum of its beginning and u's part: as exact near the foot as at the light's ends. */
   const real tangent = FMA(view->z, sine, view->x0 * cosine) / max(toward, (real)1e-30f);
-  *x = clamp(view->z * tangent, view->x0, view->x0 + view->width);
+  return clamp(view->z * tangent, view->x0, view->x0 + view->width);
+}
+
+/* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
+INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
+  const real angle = view_angle(view);
+  *x = view_x(view, u, angle);
   const real begin = FMA(*x - view->x0, view->slope, view->y0);
   const LightLine line = light_line(view, *x, begin);
   /* Of positive terms: 1 - h^2 at h = (1 - v) h0 + v h1. */

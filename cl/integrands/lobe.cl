@@ -174,6 +174,11 @@ triple select_triple(const triple a, const triple b, const whole condition) {
   return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
 }
 
+/* The lights' u of a sample past the lobe's share of the square. */
+real past_lobe(const float share, const real u) {
+  return min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);
+}
+
 /* A point of the square: on a light, or in the lobe; `radiance` is then over the density of both. */
 LightSample sample_lights_and_lobe(global const float *restrict lights, const ShadingPoint *p, const Scatterer *s,
                                    const real u, const real v) {
@@ -183,8 +188,7 @@ LightSample sample_lights_and_lobe(global const float *restrict lights, const Sh
   const float share = p->lobe_share;
   if (!(share > 0.0f)) return sample_lights(lights, strips, position, origin, u, v);
   const whole in_lobe = u < share;
-  const real along = min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);
-  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(along, u, in_lobe), v);
+  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
   const LightSample met = lights_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
   sample.lit = SELECT(sample.lit, met.lit, in_lobe);
   sample.density = SELECT(sample.density, met.density, in_lobe);

@@ -12,6 +12,11 @@
  * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
  * or SEEN. The second word of `ray_count` counts them.
  *
+ * With LINES (lines.cl joined before) samples of such points, which are then the sampler's points (x, y) in `u` and `v`,
+ * are moved along lines to where they see the light, and their values hold the lines' visible length: an
+ * integrand of (x, y), whose integral is the same. The third word of `ray_count` counts samples that no line
+ * was found for, which are tested like others.
+ *
  * With WARPED (warp.cl or warp_triangles.cl joined before) each point's samples follow its record in `density`,
  * and `weight` takes one over the density at each sample, by which its value counts.
  *
@@ -30,8 +35,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const uint *restrict density, global float *restrict weight,
 #endif
 #if SHAFTS
-                         const uint corner_stride, global const uint *restrict occluders,
-                         global const float *restrict corners,
+                         const uint corner_stride, global const uint *restrict starts,
+                         global const uint *restrict occluders, global const float *restrict corners,
 #endif
                          global float *restrict u, global float *restrict v, global float *restrict value,
                          global uint *restrict slot, global float *restrict origins,
@@ -47,6 +52,38 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
 
+  float sample_u[BLOCKS_A_ITEM * VEC], sample_v[BLOCKS_A_ITEM * VEC];
+  uint own_blocks = 0;
+  for (uint block = first_block; block < blocks; block += items_a_point) {
+    const ulong at = (ulong)local_point * stride + block * VEC;
+    real own_u, own_v;
+    sample_square(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
+#if WARPED
+    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
+    STORE(warp_square(record, &own_u, &own_v), weight + at);
+#endif
+    STORE(own_u, u + at);
+    STORE(own_v, v + at);
+    STORE(own_u, sample_u + own_blocks * VEC);
+    STORE(own_v, sample_v + own_blocks * VEC);
+    ++own_blocks;
+  }
+#if SHAFTS
+  global const uint *restrict own_occluders = occluders + starts[point];
+#endif
+#if LINES
+  float share[BLOCKS_A_ITEM * VEC];
+  int refused[BLOCKS_A_ITEM * VEC];
+  for (uint k = 0; k < BLOCKS_A_ITEM * VEC; ++k) {
+    share[k] = 1.0f;
+    refused[k] = 0;
+  }
+  const bool moves = own_occluders[0] != TOO_MANY && own_occluders[0] > 0;
+  if (moves)
+    take_visible(&p, integrand_data, own_occluders, corners, corner_stride, own_blocks, sample_u, sample_v, share,
+                 refused);
+#endif
+
   real direction[BLOCKS_A_ITEM][3];
   real distance[BLOCKS_A_ITEM];
   whole live[BLOCKS_A_ITEM];
@@ -58,17 +95,12 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     if (block >= blocks) continue;
     const ulong at = (ulong)local_point * stride + block * VEC;
     const bits index = LANE_NUMBER + block * VEC;
-    real sample_u, sample_v;
     real sample_value[CHANNELS];
-    sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
-#if WARPED
-    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
-    STORE(warp_square(record, &sample_u, &sample_v), weight + at);
-#endif
-    evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);
-    STORE(sample_u, u + at);
-    STORE(sample_v, v + at);
+    evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), sample_value, direction[k], &distance[k]);
     for (uint channel = 0; channel < CHANNELS; ++channel) {
+#if LINES
+      sample_value[channel] *= LOAD(share + k * VEC);
+#endif
       sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
       live[k] = live[k] || (fabs(sample_value[channel]) > 0.0f);
       STORE(sample_value[channel], value + channel * plane + at);
@@ -78,9 +110,14 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
 
   const float3 origin = ray_origin(&p);
 #if SHAFTS
-  global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
   if (own_occluders[0] != TOO_MANY) {
-    close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
+#if LINES
+    /* What was moved to where it sees the light needs no test. */
+    const uint untested = moves ? test_refused(own_occluders, corners, corner_stride, origin, direction, refused, live) : 0;
+    if (untested > 0) atomic_add(ray_count + 2, untested);
+    if (!moves)
+#endif
+      close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
     for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
       const uint block = first_block + k * items_a_point;
       if (block < blocks)

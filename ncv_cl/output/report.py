@@ -65,6 +65,7 @@ def statistics(
     found: dict[str, object] = {
         "rays_traced": rays.traced,
         "rays_on_device": rays.on_device,
+        "samples_off_lines": rays.off_lines,
         "rays_skipped": rays.skipped,
         "points": points.active,
         "points_skipped": points.background + points.total - points.active,

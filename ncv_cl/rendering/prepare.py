@@ -12,7 +12,8 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.shaft import Occluders, shafts_pay
+from ..visibility.lines import most_on_lines
+from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 
 
 def prepare(
@@ -45,10 +46,12 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
-    looked_for = settings.sampling.visibility == "auto" and shafts_pay(scene)
+    lines = settings.sampling.visibility == "lines"
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
     if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
-            occluders = Occluders(device, scene, points, integrand)
+            most = most_on_lines(device) if lines else MOST_OCCLUDERS
+            occluders = Occluders(device, scene, points, integrand, most)
     source = sample_source(
         device,
         scene,
@@ -59,7 +62,8 @@ def prepare(
         settings.seed,
         SAMPLES_A_PASS,
         occluders,
-        shadows_tested=settings.sampling.visibility == "auto",
+        lines=lines,
+        shadows_tested=settings.sampling.visibility != "embree",
     )
     narrowest = 1.0
     if integrand.defines(scene).get("LIGHT_COUNT"):

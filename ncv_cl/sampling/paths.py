@@ -39,13 +39,14 @@ def sample_source(
     points: ShadingPoints,
     integrand: Integrand,
     *rest: Any,
+    lines: bool = False,
     shadows_tested: bool = False,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
     if integrand.nested:
         arguments = (device, scene, tracer, points, integrand, *rest)
         return PathSource(*arguments, shadows_tested=shadows_tested)
-    return SampleSource(device, scene, tracer, points, integrand, *rest)
+    return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines)
 
 
 class _Wave:

@@ -15,6 +15,7 @@ from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
+from ..visibility.lines import line_defines
 from ..visibility.shaft import Occluders
 from .warp import Warp
 
@@ -45,6 +46,8 @@ class RayCount:
     traced, skipped : int
     on_device : int
         Answered by testing a point's few occluders.
+    off_lines : int
+        Of these, samples of points with lines that are on none, or on one with too many gaps to be kept.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
@@ -52,6 +55,7 @@ class RayCount:
     traced: int = 0
     skipped: int = 0
     on_device: int = 0
+    off_lines: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
 
@@ -153,6 +157,8 @@ class SampleSource(Batches):
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
         What decides visibility where it is known; by default embree decides all.
+    lines : bool
+        Whether samples at points whose occluders are known lie where lines see the lights.
     """
 
     def __init__(
@@ -166,6 +172,7 @@ class SampleSource(Batches):
         seed: int,
         samples_per_point: int,
         occluders: Occluders | None = None,
+        lines: bool = False,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
         self._tracer = tracer
@@ -177,6 +184,7 @@ class SampleSource(Batches):
             **integrand.defines(scene),
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
+            "LINES": int(lines and occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
             "BLOCKS_A_ITEM": f"{visibility_tuning.BLOCKS_A_ITEM}u",
             "WARPED": 0,
@@ -186,11 +194,15 @@ class SampleSource(Batches):
         self._occluders: dict[str, object] = {}
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
+            if lines:
+                shaft, defines = ("shaft", "gaps", "lines"), {**defines, **line_defines()}
             self._occluders = {
                 "corner_stride": occluders.stride,
+                "starts": occluders.starts,
                 "occluders": occluders.lists,
                 "corners": occluders.corners,
             }
+        self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         point_kernel = integrand.point_kernel(scene)
@@ -208,7 +220,7 @@ class SampleSource(Batches):
         self._origins = HostArray(device, (capacity, 3), np.float32)
         self._directions = HostArray(device, (capacity, 3), np.float32)
         self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 2, np.uint32)
+        self._ray_count = HostArray(device, 3, np.uint32)
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
@@ -250,7 +262,7 @@ class SampleSource(Batches):
             program = build(self.device, files, self._warped_defines | density.defines)
             warp = {"density": density.records(order, points), "weight": self._weight}
         program.kernel("draw_samples")(
-            len(points) * -(-stride // (self.device.vector_width * visibility_tuning.BLOCKS_A_ITEM)),
+            len(points) * -(-stride // self._item_samples),
             first_point=points.start,
             point_count=len(points),
             total_points=self.points.total,
@@ -273,7 +285,7 @@ class SampleSource(Batches):
             distances=self._distances,
             ray_count=self._ray_count,
         )
-        rays, on_device = self._ray_count.read().tolist()
+        rays, on_device, off_lines = self._ray_count.read().tolist()
         started = time.perf_counter()
         with (
             self._origins.mapped(count=rays) as origins,
@@ -287,6 +299,7 @@ class SampleSource(Batches):
         self.rays.sample_seconds += started - begun
         self.rays.traced += rays
         self.rays.on_device += on_device
+        self.rays.off_lines += off_lines
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, warp.get("weight"))

@@ -15,3 +15,13 @@ BLOCKS_A_ITEM = 4
 # Triangles of a scene whose paths' shadow rays are each tested against all of them instead of traced:
 # python bench/bench_tuning.py MOST_CASTERS, on a Cornell box cut into 128 triangles.
 MOST_CASTERS = 128
+
+# Lines on the lights. Free parts of a line that are kept apart, beyond which its sample is tested as a
+# point: in the shipped scenes none has more than 16, and one in 10,000 more than 8; room costs no time.
+# Blocks of VEC lines of one point that one work-item draws: the more, the nearer are neighbours.
+# Occluders from which on lines are brought in order, where from 2 to 48 no difference was to be seen:
+# python bench/bench_lines.py constants, and in whole renders python bench/bench_tuning.py MOST_GAPS
+# LINE_BLOCKS SORTED_FROM.
+MOST_GAPS = 16
+LINE_BLOCKS = 16
+SORTED_FROM = 12
