@@ -3,7 +3,7 @@
     python bench/bench_lines.py errors       mean square error by samples, and its exponent
     python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points
     python bench/bench_lines.py network      what a control variate takes off the error of few lines
-    python bench/bench_lines.py constants    processor time a line by the constants of lines.py
+    python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
 
 Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
 of 8192 lines, and is compared with 4096 points that embree traced before anything is measured.
@@ -26,7 +26,7 @@ from ncv_cl.opencl.choose import choose_device
 from ncv_cl.rendering.prepare import prepare
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
-from ncv_cl.visibility import lines
+from ncv_cl.visibility import tuning
 
 NAMES = ("cornell_box", "occluders", "knot", "interior")
 NUMBERS = (16, 64, 256, 1024)
@@ -144,16 +144,16 @@ def drawing(name: str, size: int, spp: int, rounds: int) -> tuple[float, float]:
 
 def constants(size: int, rounds: int) -> None:
     for constant, values in CONSTANTS.items():
-        chosen = getattr(lines, constant)
+        chosen = getattr(tuning, constant)
         for value in values:
-            setattr(lines, constant, value)
+            setattr(tuning, constant, value)
             row = []
             for name in NAMES[:3]:
                 for spp in (64, 256):
                     nanoseconds, refused = drawing(name, size, spp, rounds)
                     row.append(f"{name} {spp}: {nanoseconds:.1f} ns, {refused:.0e} refused")
             print(f"{constant} {value}: {'; '.join(row)}", flush=True)
-        setattr(lines, constant, chosen)
+        setattr(tuning, constant, chosen)
 
 
 def main() -> None:

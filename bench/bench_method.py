@@ -56,8 +56,8 @@ class Plan:
 
 SMALL = (4, 16, 64, 256, 1024)
 FULL = Plan(
-    {64: (*SMALL, 4096, 16384, 65536), 256: SMALL},
-    {"direct": 1 << 28, "ao": 1 << 26, "gi": 1 << 23, "independent": 1 << 22},
+    {64: (*SMALL, 4096, 16384), 256: SMALL},
+    {"direct": 1 << 26, "ao": 1 << 26, "gi": 1 << 22, "independent": 1 << 22},
 )
 QUICK = Plan({64: SMALL[1:]}, {"direct": 1 << 22, "ao": 1 << 22, "gi": 1 << 18, "independent": 1 << 20})
 SEEDS = (0, 1)

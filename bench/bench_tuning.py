@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import functools
 import importlib
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,16 +26,18 @@ from dataclasses import dataclass, field, fields, replace
 from types import ModuleType
 
 import numpy as np
+from bench_lights import hall
 from training import SCENES
 
 import ncv_cl as ncv
 from ncv_cl.learning import density
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.sampling import guide
+from ncv_cl.scene.load import Scene
 from ncv_cl.settings.presets import PRESETS
 from ncv_cl.settings.schedule import Schedule
 
-FOLDERS = ("settings", "sampling", "learning", "estimation")
+FOLDERS = ("integrands", "visibility", "settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
 ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY")
 VALUES = {
@@ -50,6 +53,7 @@ VALUES = {
     "DENSITY_BETA2": (0.9, 0.99, 0.999),
     "MAGNITUDE_POWER": (0.7, 0.8, 0.9, 1.0),
     "OWN_SHARE": (0.1, 0.3, 0.5),
+    "LOBE_SHARES": ((0.0, 0.5), (0.0, 0.5, 0.875), (0.0, 0.25, 0.5, 0.75, 0.875)),
     "ROULETTE": ((1, 2.0), (2, 1.0), (2, 2.0), (2, 4.0), (3, 2.0)),
     "GUIDED_ROULETTE": ((1, 3.0), (2, 1.5), (2, 3.0), (2, 6.0), (3, 3.0)),
     "MOST_SURVIVE": (0.9, 0.95, 0.99),
@@ -74,10 +78,19 @@ class Trial:
 
 
 PATHS = (("cornell_box", "gi"), ("interior", "gi"))
+GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
+LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
+PLAIN = {"method": "mc"}
+ON_LINES = {"method": "mc", "visibility": "lines"}
 PILOT = {"method": "mc", "allocation": "pilot"}
 VARIANCE = Trial(size=64, spp=16, of_variance=True)
 # What is not seen in the trial that suits most.
 TRIALS = {
+    "SMALL_LIGHT": Trial(LIGHTS, options=PLAIN),
+    "EQUAL_PART": Trial((("interior", "direct"), ("interior", "gi")), options=PLAIN),
+    "LOBE_SHARES": Trial(GLOSS, options=PLAIN),
+    "LOBE_GAIN": Trial(GLOSS, options=PLAIN),
+    "LOBE_NEED": Trial(GLOSS, options=PLAIN),
     "MOST_TRAINING_SAMPLES": Trial(spp=2048),
     "HELD_OUT_SHARE": Trial(size=48, spp=256),
     "USE_COST": Trial(spp=512),
@@ -97,9 +110,15 @@ TRIALS = {
     "VALUES_A_CLASS": VARIANCE,
     "MOST_CLASSES": replace(VARIANCE, size=128),
     "PRIOR_SAMPLES": VARIANCE,
-    "LOCAL_RADIUS": replace(VARIANCE, options={"method": "mc"}),
-    "OWN_SHARE": replace(VARIANCE, options={"method": "mc"}),
-    "ROULETTE": Trial(PATHS, options={"method": "mc"}),
+    "LOCAL_RADIUS": replace(VARIANCE, options=PLAIN),
+    "OWN_SHARE": replace(VARIANCE, options=PLAIN),
+    "MOST_LIGHTS": Trial((("hall of 4", "direct"), ("hall of 8", "direct"), ("hall of 16", "direct"))),
+    "BLOCKS_A_ITEM": Trial(LIGHTS, options=PLAIN, spp=512),
+    "MOST_GAPS": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "LINE_BLOCKS": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "SORTED_FROM": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
+    "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": Trial(PATHS),
     "MOST_SURVIVE": Trial(PATHS),
     "GUIDE_SIDE": Trial(PATHS),
@@ -162,20 +181,42 @@ def set_to(name: str, value: object) -> Iterator[None]:
         density.DensitySettings, guide.GUIDE_CELLS = settings, cells
 
 
+def scene_of(name: str) -> Scene:
+    """A shipped scene, one whose triangles are each cut into four, or a hall of so many lamps."""
+    if name.startswith("hall of "):
+        with tempfile.TemporaryDirectory() as folder:
+            return hall(int(name.removeprefix("hall of ")), folder)
+    scene = ncv.load_scene(SCENES / f"{name.removesuffix(' cut')}.toml")
+    if not name.endswith(" cut"):
+        return scene
+    a, b, c = scene.vertices[scene.triangles].swapaxes(0, 1)
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    corners = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return replace(
+        scene,
+        vertices=corners,
+        vertex_normals=np.zeros_like(corners),
+        triangles=np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        triangle_material=np.repeat(scene.triangle_material, 4),
+        triangle_light=np.repeat(scene.triangle_light, 4),
+    )
+
+
 def measure(
     name: str, trial: Trial, seeds: int, device: ncv.Device, clock: Callable[[], float]
 ) -> dict[object, list[float]]:
     """For each value, its figure in each case: error times seconds, or the score of its variances."""
     found: dict[object, list[float]] = {value: [] for value in values_of(name)}
     for scene_name, integrand in trial.cases:
-        scene = ncv.load_scene(SCENES / f"{scene_name}.toml")
+        scene = scene_of(scene_name)
         runs: dict[object, list[tuple[float, np.ndarray, np.ndarray]]] = {value: [] for value in found}
         for seed in range(seeds):
             for value, own in runs.items():
                 with set_to(name, value):
                     began = clock()
                     image = ncv.render(
-                        scene,
+                        # Anew, since what is found of a scene's lights is kept with it.
+                        replace(scene),
                         integrand,
                         spp=trial.spp,
                         size=(trial.size, trial.size),

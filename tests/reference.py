@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from ncv_cl.integrands import Integrand
-from ncv_cl.integrands.lights import SMALL_LIGHT
+from ncv_cl.integrands.tuning import SMALL_LIGHT
 from ncv_cl.opencl.device import Device
 from ncv_cl.opencl.program import Kernel, device_defines, option_list, source
 from ncv_cl.output.image import Image

@@ -22,7 +22,6 @@ from reference import (
 from ncv_cl.integrands import DirectLight
 from ncv_cl.integrands.light_cells import Lights, cell_of, may_light, mean_irradiance, scene_cells
 from ncv_cl.integrands.lights import (
-    EQUAL_PART,
     LIGHT,
     light_defines,
     light_records,
@@ -30,6 +29,7 @@ from ncv_cl.integrands.lights import (
     narrowest_strip,
     strip_widths,
 )
+from ncv_cl.integrands.tuning import EQUAL_PART
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import surface_defines
 

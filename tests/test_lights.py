@@ -23,7 +23,8 @@ from scipy import stats
 
 from ncv_cl import GlobalIllumination, render
 from ncv_cl.integrands import DirectLight
-from ncv_cl.integrands.lights import SMALL_LIGHT, light_defines, light_records
+from ncv_cl.integrands.lights import light_defines, light_records
+from ncv_cl.integrands.tuning import SMALL_LIGHT
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.scene.load import QuadLight

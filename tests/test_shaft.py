@@ -22,7 +22,8 @@ from ncv_cl.integrands import DirectLight
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN
 from ncv_cl.visibility import shaft
-from ncv_cl.visibility.shaft import COMMON_LISTS, MOST_LIGHTS
+from ncv_cl.visibility.shaft import COMMON_LISTS
+from ncv_cl.visibility.tuning import MOST_LIGHTS
 
 CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
 FLOOR = quad([-4, -1, -4], [0, 0, 8], [8, 0, 0])

@@ -10,6 +10,7 @@ import numpy as np
 from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET
 from ..scene.load import Scene
+from . import tuning
 from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
 # A light, in the scene's frame. `normal` is that of the emitting side and `offset` that of ray ends off
@@ -40,17 +41,9 @@ LIGHT = Record(
 # of its boxes and how many there are along each axis, and where the table of cells begins.
 FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1}, multiple=16)
 STRIP = Record("STRIP", {"first": 1, "width": 1})
-# Lights whose sides make less than this part of the distance to their middle (the root of the sum of
-# squares) are sampled by area. Tried on the shipped scenes from 1/4 to 2: by less, samples of those
-# where shadows are all of the error cost more than they gain.
-SMALL_LIGHT = 1.0
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
-FEWEST_STEPS = 16
+FEWEST_STRIP_STEPS = 16
 STEPS_A_LIGHT = 4
-# Part of the unit square that all lights share alike: one step a light. With half of it the variance of
-# `interior` is 1.7 times as large and that of a hall of 1,000 lamps 2.4 times (bench_lights.py); with
-# less a light would be left out, or steps would be finer than those of few Sobol points.
-EQUAL_PART = 0.25
 # Boxes along a scene's longest extent, the most for which rows and what finds them fit.
 SIDES = (32, 16, 8, 4, 2, 1)
 ROW_FLOATS_AT_MOST = 1 << 23
@@ -85,7 +78,7 @@ def strip_widths(brings: np.ndarray) -> np.ndarray:
     relative = brings / brings.max(axis=-1, keepdims=True)
     relative /= relative.sum(axis=-1, keepdims=True)
     steps = _steps(count)
-    share = steps * ((1.0 - EQUAL_PART) * relative + EQUAL_PART * shining / count)
+    share = steps * ((1.0 - tuning.EQUAL_PART) * relative + tuning.EQUAL_PART * shining / count)
     width = np.floor(share)
     rest = steps - width.sum(axis=-1, keepdims=True)
     order = np.argsort(width - share, axis=-1, kind="stable")
@@ -209,7 +202,7 @@ def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> 
 
 def _steps(count: np.ndarray | int) -> np.ndarray:
     """Steps of the grid of strips of so many lights."""
-    needed = np.maximum(STEPS_A_LIGHT * np.asarray(count), FEWEST_STEPS)
+    needed = np.maximum(STEPS_A_LIGHT * np.asarray(count), FEWEST_STRIP_STEPS)
     return 1 << np.frexp(needed - 1.0)[1].astype(np.int64)
 
 
@@ -241,6 +234,6 @@ def _records_of(lights: Lights) -> np.ndarray:
         length=length,
         width=width,
         slope=(edge1 * along).sum(axis=1) / width,
-        large=(lights.edges**2).sum(axis=(1, 2)) / SMALL_LIGHT**2,
+        large=(lights.edges**2).sum(axis=(1, 2)) / tuning.SMALL_LIGHT**2,
     )
     return records.ravel()

@@ -18,19 +18,19 @@ BINS = DENSITY_BINS**2
 
 
 # The scene's box: its lower corner, and how many boxes there are to a unit of length.
-FRAME = Record("GUIDE_FRAME", {"corner": 3, "cells": 3})
+GUIDE_FRAME = Record("GUIDE_FRAME", {"corner": 3, "cells": 3})
 
 
 def guide_frame(scene: Scene) -> np.ndarray:
-    """What guide.cl reads of the scene's box, float32 (FRAME.size,)."""
+    """What guide.cl reads of the scene's box, float32 (GUIDE_FRAME.size,)."""
     lower, upper = scene.bounds.astype(np.float64)
     extent = np.maximum(upper - lower, 1e-6 * (upper - lower).max())
-    return FRAME.pack(corner=lower, cells=tuning.GUIDE_SIDE / extent)
+    return GUIDE_FRAME.pack(corner=lower, cells=tuning.GUIDE_SIDE / extent)
 
 
 def guide_defines() -> dict[str, int]:
     """The `-D` constants of guide.cl, beside those of warp.cl."""
-    return {"GUIDE_SIDE": tuning.GUIDE_SIDE, "GUIDE_CHANNELS": 3, **FRAME.defines()}
+    return {"GUIDE_SIDE": tuning.GUIDE_SIDE, "GUIDE_CHANNELS": 3, **GUIDE_FRAME.defines()}
 
 
 class Guide(NamedTuple):

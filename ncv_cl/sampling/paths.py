@@ -14,7 +14,8 @@ from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
 from ..points.trace import Tracer
 from ..scene.load import Scene
-from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
+from ..visibility import tuning as visibility_tuning
+from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
 from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
@@ -71,7 +72,7 @@ class PathSource(SampleSource):
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = shadows_tested and len(scene.triangles) <= MOST_CASTERS
+        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.

@@ -14,8 +14,9 @@ from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
+from ..visibility import tuning as visibility_tuning
 from ..visibility.lines import line_defines
-from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
+from ..visibility.shaft import Occluders
 from .warp import Warp
 
 # Slots of samples without a ray: their value is zero, or they are known to see the light.
@@ -185,7 +186,7 @@ class SampleSource(Batches):
             "SHAFTS": int(occluders is not None),
             "LINES": int(lines and occluders is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{visibility_tuning.BLOCKS_A_ITEM}u",
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()

@@ -7,9 +7,6 @@ import numpy as np
 from ..opencl.layout import Record
 from ..scene.load import Scene
 
-# Triangles of a scene whose shadow rays are tested so. Measured on PoCL 3.1, rays a second over those
-# of paths that trace every ray (Cornell box, its triangles cut): 1.38 at 32, 1.40 at 64, 1.15 at 128.
-MOST_CASTERS = 128
 # What is kept of a triangle, about the centre: its plane, and of each edge the Pluecker coordinates.
 CASTER = Record(
     "CASTER",

@@ -9,6 +9,7 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
+from . import tuning
 
 # Children of a box.
 BRANCH = 16
@@ -19,18 +20,13 @@ MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
 # The lists of all points that have too many, and of all that have none.
 COMMON_LISTS = 2
-# Of more lights the shafts are not looked for: they cost by their number, and together hold something
-# nearly everywhere, so that rays are traced all the same (a hall with pillars: as fast either way at 8).
-MOST_LIGHTS = 8
-# Blocks of VEC rays of one point that one work-item draws and tests.
-BLOCKS_A_ITEM = 4
 # What rounding moves corners and planes by, of the largest coordinate.
 TOLERANCE = 16 * 2.0**-24
 
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= MOST_LIGHTS
+    return len(scene.lights) <= tuning.MOST_LIGHTS
 
 
 class Occluders:
@@ -135,7 +131,7 @@ class Occluders:
             "BRANCH": f"{BRANCH}u",
             "MOST_OCCLUDERS": f"{self._room}u",
             "TOO_MANY": f"{TOO_MANY}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{tuning.BLOCKS_A_ITEM}u",
         }
 
     @property
