@@ -81,7 +81,7 @@ QUICK = Plan(48, (4, 16, 64, 256), 2, 64 * 256)
 
 
 def run(quick: bool) -> dict:
-    """Measure on the device that `NCV_CL_DEVICE` or the probe chooses; returns what --json writes."""
+    """Measure on the device of `choose_device`; returns what --json writes."""
     return measure(choose_device(), QUICK if quick else FULL, cases_of(quick))
 
 

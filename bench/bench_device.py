@@ -25,7 +25,7 @@ from device_checks import SCENES, validate
 
 import ncv_cl as ncv
 from ncv_cl.network.encode import Encoding
-from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
 from ncv_cl.opencl.program import build
@@ -156,23 +156,31 @@ def work_groups(device: Device, quick: bool) -> list[dict]:
 def inference_ns(device: Device, quick: bool, group: int = 64) -> float:
     """Nanoseconds a sample of the default network, all its weights per point."""
     hidden = PRESETS["default"].hidden
-    description = NetworkDescription(Encoding(("position",)), 3, hidden, GROUPS)
+    description = NetworkDescription(Encoding(("position",)), 3, hidden, WEIGHT_GROUPS)
     generator = np.random.default_rng(0)
     found = {
         name: generator.normal(size=(POINTS, *shape)) for name, shape in description.group_shapes.items()
     }
     found["W2"] = generator.normal(size=hidden[::-1])
-    uv = generator.random((2, POINTS, SAMPLES))
-    order = ("W1", "B1", "W2", "B2", "W3", "B3")
-    arrays = (*uv, *(found[name] for name in order))
-    buffers = [HostArray.of(device, array.astype(np.float32)) for array in arrays]
+    found["U"], found["V"] = generator.random((2, POINTS, SAMPLES))
+    buffers = {
+        name.lower(): HostArray.of(device, array.astype(np.float32)) for name, array in found.items()
+    }
     value = HostArray(device, (3, POINTS, SAMPLES), np.float32)
     evaluate = build(device, ("common", "mlp"), description.defines()).kernel("evaluate")
     items = POINTS * SAMPLES // device.vector_width
     times = []
     for _ in range(5 if quick else 20):
         begun = time.perf_counter()
-        evaluate(items, 0, POINTS, SAMPLES, *buffers, value, group=group)
+        evaluate(
+            items,
+            first_point=0,
+            point_count=POINTS,
+            stride=SAMPLES,
+            **buffers,
+            value=value,
+            group=group,
+        )
         device.queue.finish()
         times.append(time.perf_counter() - begun)
     return float(np.median(times[1:])) / (POINTS * SAMPLES) * 1e9

@@ -1,7 +1,7 @@
 """Exact integration: correctness on hard networks, speed, and what quadrature would do instead.
 
 Validates first and stops if anything is wrong. Quadrature evaluates the network by the
-renderer's own inference kernel (cl/mlp.cl, `evaluate`); only the kernel's time is charged to it,
+renderer's own inference kernel (cl/network/mlp.cl, `evaluate`); only the kernel's time is charged to it,
 neither the samples nor the sums.
 
     python bench/bench_integrate.py [--quick] [--json FILE] [--plot FILE.png]

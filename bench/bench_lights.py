@@ -17,7 +17,7 @@ import numpy as np
 from training import SCENES
 
 import ncv_cl as ncv
-from ncv_cl.integrands import lights
+from ncv_cl.integrands import lights, tuning
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 from ncv_cl.scene.load import Scene
@@ -95,8 +95,8 @@ def main() -> None:
     side, spp, most = (24, 32, 100) if options.quick else (64, 256, 1000)
     print(f"{device.identity}\n{side} x {side} pixels, {spp} samples")
     with tempfile.TemporaryDirectory() as folder:
-        for part in options.equal or (lights.EQUAL_PART,):
-            lights.EQUAL_PART = part
+        for part in options.equal or (tuning.EQUAL_PART,):
+            tuning.EQUAL_PART = part
             scenes = [ncv.load_scene(SCENES / f"{name}.toml") for name in SHIPPED]
             scenes += [hall(lamps, folder) for lamps in LAMPS if lamps <= most]
             for scene in scenes:

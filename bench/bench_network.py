@@ -19,7 +19,7 @@ import numpy as np
 from training import TrainingCase
 
 from ncv_cl.network.encode import Encoding
-from ncv_cl.network.network import GROUPS, NetworkDescription
+from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device, HostArray
 from ncv_cl.opencl.program import build
@@ -28,8 +28,8 @@ from ncv_cl.settings.presets import PRESETS
 POINTS, SAMPLES, CHANNELS = 1024, 256, 3
 NETWORKS = {
     "2x32, bias 1 per point": ((32, 32), ("B1",)),
-    "16x16, all per point": ((16, 16), GROUPS),
-    "8x8, all per point": ((8, 8), GROUPS),
+    "16x16, all per point": ((16, 16), WEIGHT_GROUPS),
+    "8x8, all per point": ((8, 8), WEIGHT_GROUPS),
 }
 
 
@@ -85,13 +85,20 @@ def inference_row(device: Device, torch: ModuleType | None, name: str, repeats: 
     }
     arrays = {group: array.astype(np.float32) for group, array in arrays.items()}
     uv = generator.random((2, POINTS, SAMPLES), np.float32)
-    order = ("W1", "B1", "W2", "B2", "W3", "B3")
-    buffers = [HostArray.of(device, x) for x in (*uv, *(arrays[group] for group in order))]
+    given = arrays | dict(zip("UV", uv, strict=True))
+    buffers = {name.lower(): HostArray.of(device, array) for name, array in given.items()}
     value = HostArray(device, (CHANNELS, POINTS, SAMPLES), np.float32)
     evaluate = build(device, ("common", "mlp"), description.defines()).kernel("evaluate")
 
     def ours() -> None:
-        evaluate(POINTS * SAMPLES // device.vector_width, 0, POINTS, SAMPLES, *buffers, value)
+        evaluate(
+            POINTS * SAMPLES // device.vector_width,
+            first_point=0,
+            point_count=POINTS,
+            stride=SAMPLES,
+            **buffers,
+            value=value,
+        )
         device.queue.finish()
 
     works: list[Callable[[], object]] = [ours]

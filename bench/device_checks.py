@@ -50,7 +50,9 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("ambient occlusion", "test_ao", "test_an_open_point_sees_everything_in_the_stated_density",
      {"mapping": "cosine", "normal": (0, 0, -1)}),
     ("direct light", "test_direct", "test_every_sample_matches_float64",
-     lambda tests: {"lights": tests.LIGHTS, "material": tests.grey((0.2, 0.5, 0.9), 0.04, 0.3)}),
+     lambda tests: {"lights": tests.LIGHTS}),
+    ("direct light", "test_gloss", "test_every_sample_matches_float64",
+     lambda tests: {"light": tests.LARGE, "roughness": 0.3}),
     ("direct light", "test_direct", "test_quadrature_gives_lamberts_form_factor",
      {"scale": 1, "offset": 0, "count": 3}),
     ("direct light", "device_checks", "unshadowed_means_are_those_of_the_samples", {}),
@@ -192,13 +194,13 @@ def _recording(launched: set[str]) -> Iterator[None]:
     """Note the names of kernels that are launched while the block lasts."""
     plain_call, plain_repeat = Kernel.__call__, Kernel.repeat
 
-    def call(kernel: Kernel, *arguments: object, **options: object) -> object:
+    def call(kernel: Kernel, work_items: object, **given: object) -> object:
         launched.add(kernel.name)
-        return plain_call(kernel, *arguments, **options)
+        return plain_call(kernel, work_items, **given)
 
-    def repeat(kernel: Kernel, *arguments: object, **options: object) -> None:
+    def repeat(kernel: Kernel, *given: object) -> None:
         launched.add(kernel.name)
-        plain_repeat(kernel, *arguments, **options)
+        plain_repeat(kernel, *given)
 
     Kernel.__call__, Kernel.repeat = call, repeat
     try:

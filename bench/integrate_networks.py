@@ -144,8 +144,12 @@ class Inference:
             Encoding(("position",)), case.widths[-1], case.widths[1:-1], modulated=modulated
         )
         self.kernel = build(case.device, ("common", "mlp"), description.defines()).kernel("evaluate")
-        w, b = case.weights, case.biases
-        self.parameters = [w[0], b[0], w[1], b[1], w[2], b[2]]
+        layers = zip(case.weights, case.biases, strict=True)
+        self.parameters = {
+            f"{kind}{k}": array
+            for k, pair in enumerate(layers, 1)
+            for kind, array in zip("wb", pair, strict=True)
+        }
 
     def at(self, samples: np.ndarray) -> tuple[Callable[[], None], HostArray]:
         """What evaluates all points' networks at the same `samples` (n, 2), and where the values go."""
@@ -157,7 +161,16 @@ class Inference:
         items = case.points * count // case.device.vector_width
 
         def work() -> None:
-            self.kernel(items, 0, case.points, count, u, v, *self.parameters, value)
+            self.kernel(
+                items,
+                first_point=0,
+                point_count=case.points,
+                stride=count,
+                u=u,
+                v=v,
+                **self.parameters,
+                value=value,
+            )
             case.device.queue.finish()
 
         return work, value

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from ncv_cl import render
-from ncv_cl.integrands import direct
+from ncv_cl.integrands import tuning
 from ncv_cl.output.image import Image
 
 SCENES = Path(__file__).parent.parent / "scenes"
-SHIPPED = direct.LOBE_SHARES, direct.LOBE_GAIN, direct.LOBE_NEED
+SHIPPED = tuning.LOBE_SHARES, tuning.LOBE_GAIN, tuning.LOBE_NEED
 EIGHTHS = tuple(k / 8 for k in range(8))
 # Shares, gain and need.
 WAYS = {
@@ -41,7 +41,7 @@ RULES = {
 
 def picture(name: str, way: tuple, spp: int, size: tuple[int, int], sampler: str, seed: int) -> Image:
     """A plain Monte Carlo picture of direct light by one way to share the square."""
-    direct.LOBE_SHARES, direct.LOBE_GAIN, direct.LOBE_NEED = way
+    tuning.LOBE_SHARES, tuning.LOBE_GAIN, tuning.LOBE_NEED = way
     return render(
         SCENES / f"{name}.toml", "direct", "mc", sampler, spp=spp, size=size, seed=seed,
         allocation="uniform",

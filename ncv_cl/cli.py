@@ -22,7 +22,7 @@ from .integrands.ao import MAPPINGS
 from .integrands.named import named_integrand
 from .integration.certificate import PRECISIONS
 from .integration.integrate import integrate
-from .integration.integrator import METHODS as INTEGRATION_METHODS
+from .integration.integrator import INTEGRATION_METHODS
 from .integration.subdivide import draw_subdivision, subdivide
 from .opencl.choose import devices
 from .output.image import Image, check_output_path
@@ -148,7 +148,7 @@ def _add_integrate(commands: argparse._SubParsersAction) -> None:
 
 
 def _read_layers(path: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Weights and biases from an ``.npz``; what their shapes and values must be `integrate` says."""
+    """Weights and biases from an ``.npz``; `integrate` checks shapes and values."""
     arrays = read_arrays(path)
     layers = itertools.takewhile(lambda k: f"weights{k}" in arrays, itertools.count())
     names = [(f"weights{k}", f"biases{k}") for k in layers]
@@ -246,7 +246,7 @@ def _integrand(options: argparse.Namespace) -> Integrand:
 
 
 def _check_render(options: argparse.Namespace) -> None:
-    """What can be refused is refused before the work, not after it."""
+    """Raise for bad options and paths before the work begins."""
     own = {"radius": "ao", "mapping": "ao", "max_depth": "gi", "clamp": "gi"}
     for name, integrand in own.items():
         if getattr(options, name) is not None and options.integrand != integrand:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from fitting import fitting
 
 from ncv_cl import render
-from ncv_cl.learning import learn
+from ncv_cl.learning import tuning
 from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
 from ncv_cl.settings.presets import PRESETS
 
@@ -37,7 +37,7 @@ def avoid_false_reports() -> None:
 
 def shrink_training() -> None:
     """The default network with fewer grid levels and one pass: every line of the kernels still runs."""
-    learn.FEWEST_STEPS = learn.FEWEST_STEPS_OF_ONE_BATCH = 1
+    tuning.FEWEST_STEPS = tuning.FEWEST_STEPS_OF_ONE_BATCH = 1
     preset = PRESETS["default"]
     schedule = replace(preset.schedule, epochs=1)
     PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, schedule=schedule)

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 
 from ncv_cl.integrands import Integrand
-from ncv_cl.integrands.lights import SMALL_LIGHT
+from ncv_cl.integrands.tuning import SMALL_LIGHT
 from ncv_cl.opencl.device import Device
 from ncv_cl.opencl.program import Kernel, device_defines, option_list, source
 from ncv_cl.output.image import Image
@@ -19,7 +19,8 @@ from ncv_cl.sampling.samples import SEEN, Batch, SampleSource
 from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
 from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
 from ncv_cl.settings.settings import Settings
-from ncv_cl.visibility.shaft import Occluders
+from ncv_cl.visibility.lines import most_on_lines
+from ncv_cl.visibility.shaft import MOST_OCCLUDERS, Occluders
 from ncv_cl.visibility.slices import Slices
 
 
@@ -309,15 +310,19 @@ def sampling(
     seed: int = 1,
     with_occluders: bool = False,
     shadows_tested: bool = False,
+    lines: bool = False,
     sliced: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded."""
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
-    occluders = Occluders(device, scene, points, integrand) if with_occluders else None
+    occluders = None
+    if with_occluders or lines:
+        most = most_on_lines(device) if lines else MOST_OCCLUDERS
+        occluders = Occluders(device, scene, points, integrand, most)
     samples_of = sample_source(
         device, scene, recorder, points, integrand, sampler, seed, samples, occluders,
-        slices=Slices(device, scene) if sliced else None, shadows_tested=shadows_tested,
+        lines=lines, slices=Slices(device, scene) if sliced else None, shadows_tested=shadows_tested,
     )  # fmt: skip
     return points, samples_of, recorder
 

@@ -105,10 +105,9 @@ def test_residuals_are_taken_against_the_network(device, modulated):
         name: generator.normal(size=(POINTS, *shape) if name in modulated else (1, *shape))
         for name, shape in shapes.items()
     }
-    names = ("W1", "B1", "W2", "B2", "W3", "B3")
     network = SimpleNamespace(
         network=SimpleNamespace(description=description),
-        arrays=[HostArray.of(device, part[name].astype(np.float32)) for name in names],
+        arrays={name.lower(): HostArray.of(device, x.astype(np.float32)) for name, x in part.items()},
     )
     passes = [generator.uniform(size=(3, POINTS, n)) for n in (19, 40)]
     uv = [generator.uniform(size=(2, POINTS, n)).astype(np.float32) for n in (19, 40)]

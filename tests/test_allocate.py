@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ncv_cl.estimation.allocate import FEWEST_SAMPLES, LARGEST_SHARE, Allocation, allocate
+from ncv_cl.estimation.allocate import Allocation, allocate
+from ncv_cl.estimation.tuning import FEWEST_SAMPLES, LARGEST_MULTIPLE
 
 
 def magnitudes(points=5000, decades=4):
@@ -18,7 +19,7 @@ def test_numbers_are_powers_of_two_and_keep_the_average(average):
     assert np.array_equal(counts, 2 ** np.rint(np.log2(counts)))
     assert 0.6 * average < counts.mean() <= average
     assert counts.min() >= min(FEWEST_SAMPLES, 2 ** int(np.log2(average)))
-    assert counts.max() <= LARGEST_SHARE * average
+    assert counts.max() <= LARGEST_MULTIPLE * average
 
 
 def test_larger_residuals_get_no_fewer_samples():

@@ -11,14 +11,12 @@ from test_train import prepare
 from ncv_cl.estimation.control_variate import integrals_of
 from ncv_cl.integrands import DirectLight
 from ncv_cl.learning.alpha import (
-    LARGEST,
-    PSEUDO_SAMPLES,
-    SMALLEST,
     _column_moments,
     can_scale,
     control_coefficients,
     scale,
 )
+from ncv_cl.learning.tuning import LARGEST_COEFFICIENT, PSEUDO_SAMPLES, SMALLEST_COEFFICIENT
 from ncv_cl.network.network import FoldedNetwork
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
@@ -38,7 +36,7 @@ def trained(device, scenes, samples=16):
 
 
 def test_coefficients_are_covariance_over_variance_shrunk_towards_one(device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.tuning.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, chosen, uv, f = trained(device, scenes)
     folded = FoldedNetwork(device, network, points)
     found = control_coefficients(folded, trainer.samples_of(network), points, COLUMNS)
@@ -47,7 +45,7 @@ def test_coefficients_are_covariance_over_variance_shrunk_towards_one(device, sc
     f = f - f.mean(axis=2, keepdims=True)
     best = (f * g).sum(axis=(1, 2)) / (g * g).sum(axis=(1, 2))
     seen = f[0].size
-    expected = np.clip(1 + (best - 1) * seen / (seen + PSEUDO_SAMPLES), 0, LARGEST)
+    expected = np.clip(1 + (best - 1) * seen / (seen + PSEUDO_SAMPLES), 0, LARGEST_COEFFICIENT)
     np.testing.assert_allclose(found, np.broadcast_to(expected[:, None], found.shape), rtol=1e-4)
 
 
@@ -66,7 +64,7 @@ def test_moments_of_each_column_match_float64(device, scenes):
 
 
 def test_a_network_that_is_twice_too_large_is_halved(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.tuning.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, chosen, *_ = trained(one_device, scenes)
     samples = trainer.samples_of(network)
     folded = FoldedNetwork(one_device, network, points)
@@ -78,16 +76,16 @@ def test_a_network_that_is_twice_too_large_is_halved(one_device, scenes, monkeyp
 
 
 def test_a_network_that_says_the_opposite_counts_as_nothing(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 1 << 30)
+    monkeypatch.setattr("ncv_cl.learning.tuning.SAMPLES_A_TILE", 1 << 30)
     trainer, network, points, *_ = trained(one_device, scenes)
     folded = FoldedNetwork(one_device, network, points)
     scale(folded, np.full((3, points.active), -1.0, np.float32))
     found = control_coefficients(folded, trainer.samples_of(network), points, COLUMNS)
-    assert SMALLEST > 0 and not found.any()
+    assert SMALLEST_COEFFICIENT > 0 and not found.any()
 
 
 def test_points_without_training_samples_keep_the_network(one_device, scenes, monkeypatch):
-    monkeypatch.setattr("ncv_cl.learning.alpha.SAMPLES_A_TILE", 0)
+    monkeypatch.setattr("ncv_cl.learning.tuning.SAMPLES_A_TILE", 0)
     trainer, network, points, chosen, *_ = trained(one_device, scenes)
     folded = FoldedNetwork(one_device, network, points)
     found = control_coefficients(folded, trainer.samples_of(network), points, COLUMNS)

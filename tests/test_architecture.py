@@ -48,7 +48,9 @@ def imports(module: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             start = package[: len(package) + 1 - node.level] if node.level else []
             base = ".".join([*start, *([node.module] if node.module else [])])
-            targets = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+            # A module of a package, or else something that the package itself defines.
+            inner = (f"{base}.{alias.name}" for alias in node.names)
+            targets = [one if one.removeprefix("ncv_cl.") in MODULES else base for one in inner]
         else:
             continue
         for target in targets:

@@ -10,29 +10,29 @@ from reference import bare_kernel, tangent_frame, unit
 from scipy.stats import chi2
 
 from ncv_cl.opencl.device import HostArray
-from ncv_cl.points.points import ROW, ROW_COUNT, surface_defines
+from ncv_cl.points.points import SURFACE, surface_defines
 
 KERNEL = """
-kernel void bare_bounce(const uint count, global const float *surface, global const float *square,
+kernel void bare_bounce(const uint count, global const float *surface, global const float *rows,
                         global float *result) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const ShadingPoint p = load_shading_point(surface, 1u, 0u);
   const Scatterer s = scatterer_of(&p);
-  const triple towards = sample_scattering(&s, LOAD(square + first), LOAD(square + count + first));
+  const triple towards = sample_scattering(&s, LOAD(rows + first), LOAD(rows + count + first));
   STORE(towards.x, result + first);
   STORE(towards.y, result + count + first);
   STORE(towards.z, result + 2 * count + first);
   STORE(scattering_density(&s, towards), result + 3 * count + first);
 }
-kernel void bare_density(const uint count, global const float *surface, global const float *incident,
+kernel void bare_density(const uint count, global const float *surface, global const float *rows,
                          global float *result) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const ShadingPoint p = load_shading_point(surface, 1u, 0u);
   const Scatterer s = scatterer_of(&p);
-  const triple towards = {LOAD(incident + first), LOAD(incident + count + first),
-                          LOAD(incident + 2 * count + first)};
+  const triple towards = {LOAD(rows + first), LOAD(rows + count + first),
+                          LOAD(rows + 2 * count + first)};
   STORE(scattering_density(&s, towards), result + first);
 }
 """
@@ -60,18 +60,23 @@ def run(device, name, rows, surface_of, cosine_o):
     """The kernel's outputs for columns of `rows` (n, …), about NORMAL with an outgoing direction."""
     albedo, reflectance, roughness = surface_of
     outgoing = outgoing_at(cosine_o)
-    surface = np.zeros(ROW_COUNT, np.float32)
-    known = {"NORMAL": NORMAL, "OUTGOING": outgoing, "ALBEDO": albedo, "REFLECTANCE": reflectance}
+    surface = np.zeros(SURFACE.size, np.float32)
+    known = {"normal": NORMAL, "outgoing": outgoing, "albedo": albedo, "reflectance": reflectance}
     for row, value in known.items():
-        surface[ROW[row] : ROW[row] + 3] = value
-    surface[ROW["ROUGHNESS"]] = roughness
+        surface[SURFACE[row]] = value
+    surface[SURFACE["roughness"]] = roughness
     count = -(-len(rows) // device.vector_width) * device.vector_width
     padded = np.zeros((rows.shape[1], count), np.float32)
     padded[:, : len(rows)] = rows.T
     result = HostArray(device, (4, count), np.float32)
     result.fill(0.0)
-    arrays = HostArray.of(device, surface), HostArray.of(device, padded), result
-    kernel_of(device, name)(count // device.vector_width, count, *arrays)
+    kernel_of(device, name)(
+        count // device.vector_width,
+        count=count,
+        surface=HostArray.of(device, surface),
+        rows=HostArray.of(device, padded),
+        result=result,
+    )
     return result.read()[:, : len(rows)].astype(float)
 
 
@@ -142,6 +147,6 @@ def test_sine_and_cosine_of_turns(device):
     angle = np.linspace(-1.25, 1.25, count).astype(np.float32)
     angle[:9] = np.arange(-4, 5) / 4
     result = HostArray(device, (2, count), np.float32)
-    kernel(count // device.vector_width, count, HostArray.of(device, angle), result)
+    kernel(count // device.vector_width, count=count, angle=HostArray.of(device, angle), result=result)
     exact = 2 * np.pi * angle.astype(float)
     np.testing.assert_allclose(result.read(), [np.sin(exact), np.cos(exact)], rtol=0, atol=2e-7)

@@ -9,7 +9,7 @@ import pytest
 from reference import bare_kernel, scattering, tangent_frame, unit
 
 from ncv_cl.opencl.device import HostArray
-from ncv_cl.points.points import ROW, ROW_COUNT, surface_defines
+from ncv_cl.points.points import SURFACE, surface_defines
 
 KERNEL = """
 kernel void bare_scattering(const uint count, global const float *surface, global const float *incident,
@@ -36,21 +36,26 @@ def scattering_kernel(device, has_specular):
 
 def evaluate(device, normal, outgoing, incident, albedo, reflectance, roughness, has_specular=1):
     """f_r (n, 3) of the device for incident directions (n, 3)."""
-    surface = np.zeros(ROW_COUNT, np.float32)
+    surface = np.zeros(SURFACE.size, np.float32)
     rows = {
-        "NORMAL": normal, "GEOMETRIC_NORMAL": normal, "OUTGOING": outgoing, "ALBEDO": albedo,
-        "REFLECTANCE": reflectance,
+        "normal": normal, "geometric_normal": normal, "outgoing": outgoing, "albedo": albedo,
+        "reflectance": reflectance,
     }  # fmt: skip
     for name, value in rows.items():
-        surface[ROW[name] : ROW[name] + 3] = value
-    surface[ROW["ROUGHNESS"]] = roughness
+        surface[SURFACE[name]] = value
+    surface[SURFACE["roughness"]] = roughness
     padded = -(-len(incident) // device.vector_width) * device.vector_width
     towards = np.zeros((3, padded), np.float32)
     towards[:, : len(incident)] = np.asarray(incident).T
     kernel = scattering_kernel(device, has_specular)
     result = HostArray(device, (3, padded), np.float32)
-    items = padded // device.vector_width
-    kernel(items, padded, HostArray.of(device, surface), HostArray.of(device, towards), result)
+    kernel(
+        padded // device.vector_width,
+        count=padded,
+        surface=HostArray.of(device, surface),
+        incident=HostArray.of(device, towards),
+        result=result,
+    )
     return result.read()[:, : len(incident)].T.astype(np.float64)
 
 

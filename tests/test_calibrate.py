@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from ncv_cl.estimation.calibrate import (
-    LOCAL_RADIUS,
-    OWN_SHARE,
     calibrate,
     halves,
     local_mean,
     points_done_twice,
     steadied,
 )
+from ncv_cl.estimation.tuning import LOCAL_RADIUS, OWN_SHARE
 from ncv_cl.sampling.accumulate import Estimate
 
 

@@ -11,7 +11,7 @@ from rational import exact_integral, point_network, random_network, relative_err
 
 from ncv_cl.integration import certificate, integrator
 from ncv_cl.integration.integrate import IntegrationError, integrate
-from ncv_cl.integration.integrator import METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import DeviceError
 
@@ -51,7 +51,7 @@ def changed_kernels(monkeypatch):
     return change
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 @pytest.mark.parametrize("precision", list(LIMIT))
 @pytest.mark.parametrize("name", TORTURE_NAMES)
 def test_torture_networks(device, name, precision, method):
@@ -72,7 +72,7 @@ CAPACITIES = ("MAX_VERTICES", "MAX_HALF_EDGES", "MAX_FACES", "MAX_TRIANGLES", "C
 
 
 @pytest.mark.parametrize("capacity", CAPACITIES)
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_every_capacity_that_does_not_hold_is_noticed(device, method, capacity, monkeypatch):
     if capacity == "MAX_TRIANGLES" and method == "full":
         pytest.skip("full lists faces")
@@ -92,7 +92,7 @@ def test_every_capacity_that_does_not_hold_is_noticed(device, method, capacity, 
     assert worst_error(values, network) <= LIMIT["float32"]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 @pytest.mark.parametrize("widths", [(2, 6, 2), (2, 7, 6, 2), (2, 5, 5, 4, 1)])
 def test_a_line_that_is_not_inserted_is_seen(device, method, widths, changed_kernels):
     if method == "decoupled" and len(widths) == 3:
@@ -105,7 +105,7 @@ def test_a_line_that_is_not_inserted_is_seen(device, method, widths, changed_ker
     assert worst_error(values, network) <= LIMIT["float32"]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_a_walk_that_leaves_by_a_wrong_side_is_seen(device, method, changed_kernels):
     changed_kernels(
         ("edge.twin - OUTSIDE != passage.leaving_side", "edge.twin - OUTSIDE == passage.leaving_side")
@@ -116,7 +116,7 @@ def test_a_walk_that_leaves_by_a_wrong_side_is_seen(device, method, changed_kern
     assert worst_error(values, network) <= LIMIT["float32"]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_areas_that_do_not_add_up_are_seen(device, method, monkeypatch):
     monkeypatch.setitem(certificate.AREA_TOLERANCE, "float32", -1.0)
     network = random_network((2, 6, 5, 2), 3, seed=4)
@@ -138,7 +138,7 @@ def cancelling_network(points, factor, seed=5):
     return weights, biases
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_cancelling_sums_are_done_in_double(device, method):
     if not device.has_float64:
         pytest.skip("no double precision")
@@ -158,7 +158,7 @@ def test_ordinary_networks_are_certified_at_once(device):
     assert statistics.robust_points <= 4
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 @pytest.mark.parametrize("slope", [0.0, 0.25, -0.5, 3.0])
 def test_the_bound_holds_and_shrinks_with_the_precision(one_device, method, slope):
     device = one_device
@@ -205,7 +205,7 @@ def test_reasons_add_up():
     assert both.uncertified == (1, 9, 11) and both.uncertified_points == 3
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_one_arrangement_in_many_batches_of_redone_points(one_device, method, monkeypatch):
     monkeypatch.setattr(integrator, "POINTS_A_LAUNCH", 7)
     network = cancelling_network(40, 1000, seed=10)

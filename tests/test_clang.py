@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fitting import fitting
 
 from ncv_cl import (
     AmbientOcclusion,
@@ -24,6 +25,7 @@ from ncv_cl.integration import certificate
 from ncv_cl.integration.subdivide import subdivide
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+from ncv_cl.opencl.probe import measure
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.settings.presets import PRESETS
 
@@ -103,7 +105,7 @@ def render_everything(device: Device, folder: Path) -> None:
             scene,
             integrand,
             "ncv",
-            sampler,
+            sampler=sampler,
             spp=2,
             train_spp=1,
             size=(4, 4),
@@ -114,12 +116,15 @@ def render_everything(device: Device, folder: Path) -> None:
     render(scene, "ao", "ncv", density="subdivision", **options)
     for sampler, density in zip(SAMPLERS, ("subdivision", "table"), strict=True):
         render(scene, "ao", "ncv", sampler=sampler, density=density, visibility="lines", **options)
+    for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
+        scene.write_text(text, encoding="utf-8")
+        render(scene, "direct", "ncv", density=density, visibility="lines", **options)
 
 
 def estimate_everything(device: Device) -> None:
     """Integrals of a callable, sampled uniformly and by each density."""
     for options in ({"method": "mc"}, {"method": "ncv"}, {"method": "ncv", "density": "subdivision"}):
-        estimate(lambda u, v, point: u, spp=2, train_spp=1, device=device, **options)
+        estimate(lambda u, v, point: u, spp=2, device=device, **fitting(train_spp=1, **options))
 
 
 def integrate_everything(device: Device) -> None:
@@ -161,6 +166,7 @@ def programs(one_device, tmp_path_factory):
             render_everything(device, tmp_path_factory.mktemp("scene"))
             estimate_everything(device)
             integrate_everything(device)
+            measure(device)
         return [(one.files, one.defines) for one in built.values()]
 
 

@@ -34,10 +34,9 @@ def learning_case(device, residual, features=7, points=POINTS, samples=SAMPLES):
         Encoding(("position",), grid_levels=features, grid_features=1), 1, (4, 4), ()
     )
     shapes = {**description.group_shapes, "W2": (4, 4)}
-    zeros = [
-        HostArray.of(device, np.zeros(shapes[n], np.float32))
-        for n in ("W1", "B1", "W2", "B2", "W3", "B3")
-    ]
+    zeros = {
+        name.lower(): HostArray.of(device, np.zeros(shape, np.float32)) for name, shape in shapes.items()
+    }
     network = SimpleNamespace(network=SimpleNamespace(description=description), arrays=zeros)
     stride = -(-points // 16) * 16
     feature = np.zeros((features, stride), np.float32)
@@ -131,9 +130,8 @@ def test_the_magnitude_is_learned_and_tabulated(device, monkeypatch):
 def test_residuals_are_taken_against_the_network_and_in_the_points_units(device):
     """A constant network: f - g is known."""
     trainer, _, _, _, f = learning_case(device, lambda x, u, v: u + v, points=50)
-    arrays = list(trainer._network.arrays)
-    arrays[5] = HostArray.of(device, np.array([0.75], np.float32))
-    trainer._network.arrays = arrays
+    base = HostArray.of(device, np.array([0.75], np.float32))
+    trainer._network.arrays = trainer._network.arrays | {"b3": base}
     unit = np.linspace(0, 2, 50, dtype=np.float32)
     found = trainer._squared_residuals(unit).read()[:, :50]
     expected = ((f - 0.75) / np.where(unit > 0, unit, np.inf)) ** 2

@@ -261,7 +261,7 @@ def test_strips_off_a_coarse_grid_would_ruin_sobol_points(device, monkeypatch):
     lights = (LIGHTS[0], light_at([2, 2, -1], [2, 0, 0], [0, 0, 2], (5, 4, 3)))
 
     def error(steps, first):
-        monkeypatch.setattr("ncv_cl.integrands.lights.FEWEST_STEPS", steps)
+        monkeypatch.setattr("ncv_cl.integrands.lights.FEWEST_STRIP_STEPS", steps)
         monkeypatch.setattr(
             "ncv_cl.integrands.lights.strip_widths",
             lambda brings: np.broadcast_to([first / steps, 1 - first / steps], brings.shape),

@@ -1,7 +1,8 @@
-"""The pages of docs/: every block of code does what the page says."""
+"""README and docs/: every block of code runs, every path exists, every table is complete."""
 
 from __future__ import annotations
 
+import ast
 import re
 import runpy
 import shlex
@@ -10,20 +11,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from reference import render_plain
+from test_architecture import FOLDERS
 
 import ncv_cl as ncv
-from ncv_cl.cli import main
+from ncv_cl import cli
+from ncv_cl.output.image import LAYER_CHANNELS
 
 CHECKOUT = Path(__file__).parent.parent
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (CHECKOUT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # What a block of a file begins with.
 FILE = re.compile(r"(?:# |/\* )(\w+\.(?:py|cl))\b")
+# Renders of the pages in which pictures are not looked at.
+SIZE = (16, 12)
+# Its parts are run one by one by .ci/run.
+BENCH = "ncv-cl bench --quick"
 
 
 def blocks(page: str) -> list[tuple[str, str]]:
     """(language, text) of every block of code, in order."""
-    return BLOCK.findall((CHECKOUT / "docs" / page).read_text(encoding="utf-8"))
+    return BLOCK.findall((CHECKOUT / page).read_text(encoding="utf-8"))
+
+
+def commands(text: str) -> list[str]:
+    """The commands of a block for a shell."""
+    return [one.strip() for line in text.strip().splitlines() for one in line.split("&&")]
 
 
 @pytest.fixture
@@ -39,6 +53,16 @@ def folder(tmp_path, monkeypatch, scenes, one_device):
         del sys.modules[name]
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """Whatever size a render is asked for."""
+    render = ncv.render
+    for module in (ncv, cli):
+        monkeypatch.setattr(
+            module, "render", lambda *a, **options: render(*a, **{**options, "size": SIZE})
+        )
+
+
 def run(page: str) -> dict[str, object]:
     """Run a page's blocks in one namespace, which is returned; files are written to the folder."""
     namespace: dict[str, object] = {"__name__": "__main__"}
@@ -47,20 +71,36 @@ def run(page: str) -> dict[str, object]:
         if file:
             Path(file[1]).write_text(text, encoding="utf-8")
         elif language == "bash":
-            for line in text.strip().splitlines():
+            for line in commands(text):
                 program, *arguments = shlex.split(line)
-                assert program == "ncv-cl" and main(arguments) == 0
-        else:
-            assert language == "python", language
+                if program == "ncv-cl" and line != BENCH:
+                    assert cli.main(arguments) == 0
+        elif language == "toml":
+            Path("page.toml").write_text(text, encoding="utf-8")
+            trimesh.creation.box().export("model.obj")
+            assert len(ncv.load_scene("page.toml").lights) == 1
+        elif language == "python":
             exec(compile(text, page, "exec"), namespace)
+        else:
+            assert language == "text", language
     return namespace
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/python.md"])
+def test_blocks_of_a_page_run(folder, small, page, capsys):
+    run(page)
+    if page == "README.md":
+        for picture in ("cornell_box.png", "gi.png", "ao.png", "cells.png"):
+            assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
+        worst = float(re.search(r"^(\d\S*)$", capsys.readouterr().out, re.MULTILINE)[1])
+        assert 0 < worst < 0.05
+
+
 def test_the_page_on_python_does_what_it_says(folder, one_device, capsys):
-    found = run("python.md")
+    found = run("docs/python.md")
     for picture in ("ring.png", "cone.png", "knot_cone.png"):
         assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
-    code = "".join(text for _, text in blocks("python.md"))
+    code = "".join(text for _, text in blocks("docs/python.md"))
     promised, printed = re.findall(r"print\(.*?\)  # (.*)", code), capsys.readouterr().out
     assert promised and all(text in printed for text in promised)
     # Within its own deviation the control variate is what plain Monte Carlo finds.
@@ -71,23 +111,89 @@ def test_the_page_on_python_does_what_it_says(folder, one_device, capsys):
     assert 0.9 < np.median(plain.pixels[plain.pixels > 0]) <= 1
 
 
-@pytest.mark.parametrize("page", sorted(path.name for path in (CHECKOUT / "docs").glob("*.md")))
+@pytest.mark.skipif(not (CHECKOUT / ".ci" / "run").is_file(), reason="not in the sdist")
+def test_other_commands_of_the_pages_are_run_by_ci():
+    """Each command's words are found in their order in one command of .ci/run, options between them."""
+    text = (CHECKOUT / ".ci" / "run").read_text(encoding="utf-8").replace("\\\n", " ")
+    ran = [shlex.split(line, comments=True) for line in text.splitlines() if line.count('"') % 2 == 0]
+    asked = [one for page in PAGES for language, block in blocks(page) if language == "bash"
+             for one in commands(block) if not one.startswith("ncv-cl ")]  # fmt: skip
+    assert len(asked) >= 5
+    for command in asked:
+        for words in ran:
+            left = iter(words)
+            if all(word in left for word in shlex.split(command)):
+                break
+        else:
+            raise AssertionError(f".ci/run does not run {command!r}")
+
+
+def table(page: str, heading: str) -> list[str]:
+    """The names in the first column of the first table after a heading or line, in order."""
+    text = (CHECKOUT / page).read_text(encoding="utf-8").split(heading, 1)[1]
+    rows = re.search(r"^\|.*\n\|[-| ]+\n((?:\|.*\n)+)", text, re.MULTILINE)[1]
+    return [name for row in rows.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+
+
+def test_tables_of_results_are_complete(folder, one_device, scenes):
+    """No key of a render is missing in them, and none of theirs is never there."""
+    grey = np.ones((*SIZE[::-1], 3), np.float32)
+    box, knot = scenes / "cornell_box.toml", scenes / "knot.toml"
+    common = {"size": SIZE, "device": one_device}
+    images = [
+        ncv.render(box, "direct", "ncv", spp=16, reference=grey, time_limit=600, **common),
+        ncv.render(box, "direct", "auto", spp=1, **common),
+        ncv.render(box, "gi", "ncv", spp=4, checkpoint="kept.npz", **common),
+        ncv.render(knot, "ao", "mc", spp=4, **common),
+        ncv.render_split(box, "gi", spp=4, **common),
+    ]
+    ours = {key for image in images for key in image.stats}
+    stages = {key for image in images for key in image.stats["seconds"]}
+    skipped = {key for image in images for key in image.stats["skipped"]}
+    layers = {key for image in images for key in image.layers}
+    # What goes wrong is not made to here: full disks, and pixels that are not finite.
+    assert {*ours, "not_written", "pixels_not_finite"} == set(table("docs/results.md", "## Statistics"))
+    assert stages == set(table("docs/results.md", "Stages of"))
+    assert skipped == set(table("docs/results.md", "Keys of `skipped`"))
+    assert list(LAYER_CHANNELS) == table("docs/results.md", "## Pixels and layers")
+    assert layers == set(LAYER_CHANNELS)
+
+
+def test_the_tree_of_the_readme_is_that_of_the_package():
+    tree = next(text for language, text in blocks("README.md") if language == "text")
+    named = [line.split(maxsplit=1) for line in tree.splitlines()]
+    assert [name for name, _ in named] == FOLDERS
+    for name, subject in named:
+        module = (CHECKOUT / "ncv_cl" / name / "__init__.py").read_text(encoding="utf-8")
+        assert ast.get_docstring(ast.parse(module)) == subject
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_links_and_paths_of_a_page_exist(page):
-    text = (CHECKOUT / "docs" / page).read_text(encoding="utf-8")
+    text = (CHECKOUT / page).read_text(encoding="utf-8")
     named = re.findall(r"`((?:cl|ncv_cl|tests|examples|bench|scenes)/[\w./]*)`", text)
-    named += [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
-    assert named
+    links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
+    assert named or links
     for path in named:
-        assert (CHECKOUT / path).exists() or (CHECKOUT / "docs" / path).exists(), path
+        assert (CHECKOUT / path).exists(), path
+    for link in links:
+        assert (CHECKOUT / page).parent.joinpath(link).exists(), link
 
 
-@pytest.mark.parametrize("name", ["scene_from_arrays.py", "my_integrand/sky.py"])
-def test_examples_render(folder, monkeypatch, name):
+def test_kernel_files_that_the_source_names_exist():
+    """Comments and docstrings name files by their base names, or by their paths."""
+    kernels = {path.name: path for path in (CHECKOUT / "cl").glob("*/*.cl")}
+    for source in [*(CHECKOUT / "ncv_cl").rglob("*.py"), *kernels.values()]:
+        for name in re.findall(r"[\w/]*\w\.cl\b", source.read_text(encoding="utf-8")):
+            found = CHECKOUT / name if "/" in name else kernels.get(name)
+            assert found is not None and found.exists(), f"{source} names {name}"
+
+
+@pytest.mark.parametrize("name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py"])
+def test_examples_render(folder, small, monkeypatch, name):
     """In a fresh process each takes seconds; here they run with smaller pictures."""
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
-    render = ncv.render
-    monkeypatch.setattr(ncv, "render", lambda *a, **options: render(*a, **{**options, "size": (16, 12)}))
     monkeypatch.setattr(sys, "argv", [name])
     runpy.run_path(str(CHECKOUT / "examples" / name), run_name="__main__")
     pictures = sorted(folder.glob("*.png"))

@@ -25,7 +25,7 @@ from reference import (
 from scipy import stats
 
 from ncv_cl import GlobalIllumination, render
-from ncv_cl.integrands import DirectLight, direct
+from ncv_cl.integrands import DirectLight, tuning
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.sampling.samples import NO_RAY
 from ncv_cl.scene.load import load_scene
@@ -134,7 +134,7 @@ def expected_samples(light, material, point, u, v, share) -> Expected:
 @pytest.mark.parametrize("light", [LARGE, replace(LARGE, two_sided=True), TURNED])
 def test_every_sample_matches_float64(device, light, roughness, monkeypatch):
     share, samples, material = 0.75, 204, glossy(roughness)
-    monkeypatch.setattr(direct, "LOBE_SHARES", (share,))
+    monkeypatch.setattr(tuning, "LOBE_SHARES", (share,))
     scene = mesh_scene(FLOOR, CAMERA, (light,), (material,))
     points, source, rays = sampling(device, scene, DirectLight(), (5, 4), samples)
     arrays = batch_arrays(source.draw(range(points.active), range(samples), 0), 3)
@@ -257,9 +257,9 @@ def plausible(z):
 
 @pytest.mark.parametrize("roughness", ROUGHNESS)
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("shares", [direct.LOBE_SHARES, (0.5,)])
+@pytest.mark.parametrize("shares", [tuning.LOBE_SHARES, (0.5,)])
 def test_expectations_are_those_of_a_path_tracer(device, case, roughness, shares, monkeypatch):
-    monkeypatch.setattr(direct, "LOBE_SHARES", shares)
+    monkeypatch.setattr(tuning, "LOBE_SHARES", shares)
     scene, wanted, variance = traced(case, roughness)
     samples = 1 << 14
     points, mean, own = independent_moments(device, scene, (4, 3), samples)
@@ -349,8 +349,8 @@ def test_without_a_lobe_samples_are_what_they_were(device):
 
 
 def test_shares_follow_the_lobe_and_the_light():
-    assert all(share * 8 == int(share * 8) for share in direct.LOBE_SHARES)
-    assert direct.LOBE_SHARES[0] == 0 and max(direct.LOBE_SHARES) < 1
+    assert all(share * 8 == int(share * 8) for share in tuning.LOBE_SHARES)
+    assert tuning.LOBE_SHARES[0] == 0 and max(tuning.LOBE_SHARES) < 1
 
 
 @pytest.mark.parametrize(
@@ -387,9 +387,9 @@ def test_occluders_and_embree_agree(device, scenes):
 def test_variances_are_those_of_the_better_of_light_and_lobe(device, scenes, monkeypatch):
     """Veach's plates, in four parts each. Second moments, of which what the other keeps costs a part."""
     scene = load_scene(scenes / "veach_plates.toml")
-    rule, found = direct.LOBE_SHARES, {}
+    rule, found = tuning.LOBE_SHARES, {}
     for name, shares in {"lights": (0.0,), "lobe": (1.0,), "both": rule}.items():
-        monkeypatch.setattr(direct, "LOBE_SHARES", shares)
+        monkeypatch.setattr(tuning, "LOBE_SHARES", shares)
         points, mean, variance = independent_moments(device, scene, (40, 30), 4096)
         found[name] = (variance + mean**2).mean(axis=-1), variance.mean(axis=-1)
     roughness, reflectance, x = (

@@ -9,7 +9,7 @@ from test_gi import GLOSSY, assert_same, room
 
 from ncv_cl import GlobalIllumination, load_scene, render
 from ncv_cl.points.sampler import Stream
-from ncv_cl.sampling.guide import BINS, CELLS, Guide, GuideRecorder
+from ncv_cl.sampling.guide import BINS, GUIDE_CELLS, Guide, GuideRecorder
 from ncv_cl.sampling.warp import DENSITY_WORDS, pack_records
 
 
@@ -22,7 +22,7 @@ def test_light_from_one_side_is_learned():
     cells = unpack_records(guide.densities[5:6])[0]
     assert cells[: BINS // 2].sum() > 0.6
     np.testing.assert_allclose(guide.means[5], [2, 2, 0], rtol=0.01)
-    assert guide.densities.shape == (CELLS, DENSITY_WORDS)
+    assert guide.densities.shape == (GUIDE_CELLS, DENSITY_WORDS)
 
 
 def test_a_dark_scene_is_guided_uniformly():
@@ -33,8 +33,8 @@ def test_a_dark_scene_is_guided_uniformly():
 def anything():
     """A guide that fits no scene: right for the expectation, wrong for all else."""
     generator = np.random.default_rng(2)
-    probability = 0.3 / BINS + 0.7 * generator.dirichlet(np.full(BINS, 0.3), CELLS)
-    means = generator.uniform(0, 0.3, (CELLS, 3)).astype(np.float32)
+    probability = 0.3 / BINS + 0.7 * generator.dirichlet(np.full(BINS, 0.3), GUIDE_CELLS)
+    means = generator.uniform(0, 0.3, (GUIDE_CELLS, 3)).astype(np.float32)
     return Guide(pack_records(probability), means)
 
 

@@ -13,8 +13,8 @@ from test_network import knot_points, random_network
 from ncv_cl import render
 from ncv_cl.host.clock import Run
 from ncv_cl.integrands import DirectLight
-from ncv_cl.learning import budget, learn
-from ncv_cl.learning.budget import MOST_SAMPLES, TRAINING_PASS, Round, pays, plan
+from ncv_cl.learning import learn, tuning
+from ncv_cl.learning.budget import TRAINING_PASS, Round, pays, plan
 from ncv_cl.learning.held_out import HeldOut
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
@@ -52,7 +52,7 @@ def test_no_sample_is_drawn_twice_and_held_out_points_are_in_no_round(active, sp
         assert not given[found.held_out.chosen].any()
         assert len(found.held_out.chosen) <= max(1, active // 16)
     total = sum(part.count for part in found.rounds)
-    assert total <= min(MOST_SAMPLES, active * max(spp / 4, 1))
+    assert total <= min(tuning.MOST_TRAINING_SAMPLES, active * max(spp / 4, 1))
     assert (found.held_out is not None) == (len(found.rounds) > 1)
 
 
@@ -63,7 +63,7 @@ def test_points_that_are_trained_on_are_chosen_once(active, train_spp):
     for seed in range(20):
         training = Training(train_spp=train_spp)
         settings = Settings(DirectLight(), "ncv", 64, (active, 1), seed, training=training)
-        chosen, _ = settings.training_points(active, TRAINING_PASS, 1 << 19)
+        chosen, _ = settings.training_points(active, TRAINING_PASS, 0.0)
         assert len(np.unique(chosen)) == len(chosen) and chosen.max() < active
 
 
@@ -72,7 +72,7 @@ def test_rounds_grow_about_twofold_and_use_what_is_allowed(active, spp):
     counts = np.array([part.count for part in plan(active, spp, seed=0).rounds])
     before = np.cumsum(counts)[:-1]
     assert (counts[1:] <= 2.1 * before).all() and counts[-1] >= 0.3 * counts.sum()
-    assert counts.sum() > 0.7 * min(MOST_SAMPLES, active * spp / 4)
+    assert counts.sum() > 0.7 * min(tuning.MOST_TRAINING_SAMPLES, active * spp / 4)
 
 
 def test_rounds_and_held_out_points_are_spread_over_the_image():
@@ -106,10 +106,10 @@ def test_a_round_pays_where_many_samples_are_left_and_variance_falls():
 
 
 def test_a_round_pays_from_the_number_of_samples_on_that_its_cost_says():
-    left = 2.0 ** -(1.0 * budget.GAIN)
+    left = 2.0 ** -(1.0 * tuning.GAIN)
     for rays in (0.0, 2.0):
-        a_sample = 1 + budget.RAY_COST * rays
-        least = FOLLOWING.count * (a_sample + 3 * budget.USE_COST) / (a_sample * (1 - left))
+        a_sample = 1 + tuning.RAY_COST * rays
+        least = FOLLOWING.count * (a_sample + 3 * tuning.USE_COST) / (a_sample * (1 - left))
         assert pays(FALLING, FOLLOWING, 3, 1.001 * least, rays)
         assert not pays(FALLING, FOLLOWING, 3, 0.999 * least, rays)
 
@@ -154,8 +154,8 @@ def noise(u, v, point):
 
 @pytest.fixture
 def short_rounds(monkeypatch):
-    monkeypatch.setattr(budget, "FIRST_ROUND", 1 << 11)
-    monkeypatch.setattr(budget, "MOST_SAMPLES", 1 << 14)
+    monkeypatch.setattr(tuning, "FIRST_ROUND", 1 << 11)
+    monkeypatch.setattr(tuning, "MOST_TRAINING_SAMPLES", 1 << 14)
 
 
 def trained(device, function, spp, seed=0):
@@ -211,8 +211,8 @@ def test_two_runs_are_bit_equal(one_device, short_rounds):
 
 
 def test_a_render_that_decides_goes_on_from_its_checkpoint(one_device, scenes, tmp_path, monkeypatch):
-    monkeypatch.setattr(budget, "FIRST_ROUND", 1 << 9)
-    monkeypatch.setattr(budget, "USE_COST", 0.5)
+    monkeypatch.setattr(tuning, "FIRST_ROUND", 1 << 9)
+    monkeypatch.setattr(tuning, "USE_COST", 0.5)
     file = tmp_path / "checkpoint.npz"
 
     def picture(**options):

@@ -22,14 +22,14 @@ from reference import (
 from ncv_cl.integrands import DirectLight
 from ncv_cl.integrands.light_cells import Lights, cell_of, may_light, mean_irradiance, scene_cells
 from ncv_cl.integrands.lights import (
-    EQUAL_PART,
-    LIGHT_FLOATS,
+    LIGHT,
     light_defines,
     light_records,
     light_rows,
     narrowest_strip,
     strip_widths,
 )
+from ncv_cl.integrands.tuning import EQUAL_PART
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import surface_defines
 
@@ -177,28 +177,28 @@ def test_kernels_find_the_rows_strips_and_records_that_were_made(device, count):
     numbers = np.concatenate([position.T, normal.T, u[None]])[:, :number].astype(np.float32)
     files = ("common", "surface", "lights")
     kernel = bare_kernel(device, files, {**surface_defines(), **defines}, KERNEL, "rows")
-    result = HostArray(device, (4 + LIGHT_FLOATS, number), np.float32)
+    result = HostArray(device, (4 + LIGHT.size, number), np.float32)
     kernel(
         number // device.vector_width,
-        number,
-        HostArray.of(device, records),
-        HostArray.of(device, np.ascontiguousarray(numbers)),
-        result,
+        count=number,
+        lights=HostArray.of(device, records),
+        numbers=HostArray.of(device, np.ascontiguousarray(numbers)),
+        result=result,
     )
     row, record, first, width, *fields = result.read()
     own = rows.table[cell_of(rows.cells, position[:number], normal[:number])]
     row_floats = defines["STRIP_STEPS"] + 2 * count
-    begin = count * LIGHT_FLOATS + defines["FRAME_FLOATS"]
+    begin = count * LIGHT.size + defines["FRAME_FLOATS"]
     # Rounding may take a point for one of the box beside its own.
     same = row == begin + own * row_floats
     assert same.mean() > 0.999
     strips = rows.strips[((row - begin) / row_floats).astype(int)]
-    light = (record / LIGHT_FLOATS).astype(int)
+    light = (record / LIGHT.size).astype(int)
     lane = np.arange(number)
     np.testing.assert_array_equal(first, strips[lane, light, 0])
     np.testing.assert_array_equal(width, strips[lane, light, 1])
     assert ((u[:number] >= first) & (u[:number] < first + width) & (width > 0)).all()
-    expected = records[: count * LIGHT_FLOATS].reshape(count, LIGHT_FLOATS)[light]
+    expected = records[: count * LIGHT.size].reshape(count, LIGHT.size)[light]
     np.testing.assert_array_equal(np.array(fields).T, expected)
 
 

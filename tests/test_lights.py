@@ -23,7 +23,8 @@ from scipy import stats
 
 from ncv_cl import GlobalIllumination, render
 from ncv_cl.integrands import DirectLight
-from ncv_cl.integrands.lights import SMALL_LIGHT, light_defines, light_records
+from ncv_cl.integrands.lights import light_defines, light_records
+from ncv_cl.integrands.tuning import SMALL_LIGHT
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.scene.load import QuadLight
@@ -39,7 +40,7 @@ kernel void samples(const uint count, global const float *lights, global const f
   const real v = LOAD(numbers + 4 * count + first);
   const LightSample found = sample_lights(lights, all_strips(lights), position, position, u, v);
   const triple segment = found.segment;
-  const real facing = fabs(dot_triple(found.towards, to_triple(vload3(3, lights))));
+  const real facing = fabs(dot_triple(found.towards, to_triple(vload3(0, lights + LIGHT_NORMAL))));
   const real density = light_density(lights, all_strips(lights), (whole)0, position, segment, facing);
   const real lit = SELECT((real)0.0f, (real)1.0f, found.lit);
   const real row[7] = {segment.x, segment.y, segment.z, found.radiance[0], found.density, density, lit};
@@ -88,10 +89,10 @@ def sampled(device, light: QuadLight, position: np.ndarray, u: np.ndarray, v: np
     result = HostArray(device, (7, len(u)), np.float32)
     kernel(
         len(u) // device.vector_width,
-        len(u),
-        HostArray.of(device, light_records(scene)),
-        HostArray.of(device, rows.astype(np.float32)),
-        result,
+        count=len(u),
+        lights=HostArray.of(device, light_records(scene)),
+        numbers=HostArray.of(device, rows.astype(np.float32)),
+        result=result,
     )
     found = result.read().astype(float)
     return Found(found[:3].T + position, *found[3:])

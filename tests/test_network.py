@@ -9,7 +9,13 @@ import pytest
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.integration.integrator import Integrator
 from ncv_cl.network.encode import Encoder, Encoding, GridCube, varying_inputs
-from ncv_cl.network.network import GROUPS, FoldedNetwork, Network, NetworkDescription, NetworkError
+from ncv_cl.network.network import (
+    WEIGHT_GROUPS,
+    FoldedNetwork,
+    Network,
+    NetworkDescription,
+    NetworkError,
+)
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
@@ -24,7 +30,13 @@ def knot_points(device, scenes, size=(13, 9)):
 
 
 def random_network(
-    scene, inputs=ALL_INPUTS, hidden=(16, 16), channels=3, modulated=GROUPS, demodulated=False, **grid
+    scene,
+    inputs=ALL_INPUTS,
+    hidden=(16, 16),
+    channels=3,
+    modulated=WEIGHT_GROUPS,
+    demodulated=False,
+    **grid,
 ):
     encoding = Encoding(inputs, **grid)
     description = NetworkDescription(encoding, channels, hidden, modulated, demodulated)
@@ -41,9 +53,16 @@ def evaluate(device, folded, u, v):
     points, samples = u.shape
     channels = folded.network.description.channels
     value = HostArray(device, (channels, points, samples), np.float32)
-    arrays = [*(HostArray.of(device, array) for array in (u, v)), *folded.arrays]
-    items = points * samples // device.vector_width
-    folded.program().kernel("evaluate")(items, 0, points, samples, *arrays, value)
+    folded.program().kernel("evaluate")(
+        points * samples // device.vector_width,
+        first_point=0,
+        point_count=points,
+        stride=samples,
+        u=HostArray.of(device, u),
+        v=HostArray.of(device, v),
+        **folded.arrays,
+        value=value,
+    )
     return value.read().transpose(1, 2, 0)
 
 
@@ -61,7 +80,7 @@ def test_features_match_reference(device, scenes, inputs, grid):
 
 
 @pytest.mark.parametrize("hidden", [(16, 16), (32, 32), (8, 16), (17, 5), (1, 1)])
-@pytest.mark.parametrize("modulated", [GROUPS, ("B1",), ("W1", "B1", "W3"), ()])
+@pytest.mark.parametrize("modulated", [WEIGHT_GROUPS, ("B1",), ("W1", "B1", "W3"), ()])
 def test_inference_matches_reference(device, scenes, hidden, modulated):
     scene, points = knot_points(device, scenes)
     network = random_network(scene, hidden=hidden, modulated=modulated)
@@ -91,7 +110,7 @@ def test_a_factor_is_asked_for_exactly_where_it_is_needed(one_device, scenes):
         FoldedNetwork(one_device, random_network(scene, demodulated=True), points)
 
 
-@pytest.mark.parametrize("modulated", [GROUPS, ("B1",)])
+@pytest.mark.parametrize("modulated", [WEIGHT_GROUPS, ("B1",)])
 def test_the_exact_integral_is_that_of_the_folded_network(device, scenes, modulated):
     scene, points = knot_points(device, scenes, (5, 4))
     network = random_network(scene, hidden=(8, 16), modulated=modulated)

@@ -14,7 +14,7 @@ from test_certificate import TORTURE_NAMES
 
 import ncv_cl
 from ncv_cl.integrands import INTEGRANDS
-from ncv_cl.integration.integrator import METHODS as INTEGRATION_METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 from ncv_cl.opencl.device import GPU_LANES
 from ncv_cl.points.sampler import SAMPLERS
 
@@ -105,6 +105,14 @@ def test_simulator_finds_no_fault_in_a_density_by_the_subdivision(vec, lanes, sc
 @pytest.mark.parametrize("name, density", [("cornell_box", "none"), ("interior", "table")])
 def test_simulator_finds_no_fault_in_slices(name, density, vec, lanes, scenes, tmp_path):
     arguments = ("ao", "ncv", "sobol", str(vec), str(lanes), density, "lines")
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("name", ["cornell_box", "interior"])
+def test_simulator_finds_no_fault_along_lines(name, vec, lanes, scenes, tmp_path):
+    arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "table", "lines")
     faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
     assert not faults, faults[:5000]
 

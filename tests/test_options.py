@@ -111,6 +111,6 @@ def test_what_plain_monte_carlo_would_drop_is_refused(scenes, options, said):
 def test_auto_honours_options_of_training_where_it_trains(one_device, scenes, monkeypatch):
     options = {"spp": 8, "size": (6, 4), "device": one_device, "train_spp": 2.0, "density": "none"}
     for enough, chosen in ((0, "ncv"), (1e30, "mc")):
-        monkeypatch.setattr("ncv_cl.estimation.method.SAMPLES_THAT_PAY", enough)
+        monkeypatch.setattr("ncv_cl.estimation.tuning.LIGHT_SAMPLES_THAT_PAY", enough)
         image = ncv.render(scenes / "plane_light.toml", "direct", "auto", **options)
         assert image.stats["method"] == chosen and np.isfinite(image.pixels).all()

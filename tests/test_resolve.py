@@ -9,7 +9,7 @@ from reference import camera_at, light_at, mesh_scene, quad
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
-from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
+from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.sampling.accumulate import Estimate
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
@@ -33,10 +33,10 @@ def scene():
 
 @pytest.fixture
 def points(one_device):
-    surface = np.random.default_rng(1).uniform(size=(ROW_COUNT, len(CELL))).astype(np.float32)
+    surface = np.random.default_rng(1).uniform(size=(SURFACE.size, len(CELL))).astype(np.float32)
     # Light 1 is seen from its front, light 0 from its back.
-    surface[ROW["OUTGOING"] : ROW["OUTGOING"] + 3] = 0
-    surface[ROW["OUTGOING"] + 2] = [1, 1, 1, 1, 1, 1, -1]
+    surface[SURFACE["outgoing"]] = [[0], [0], [1]]
+    surface[SURFACE["outgoing"], -1] = [0, 0, -1]
     background = SIZE[0] * SIZE[1] * SUPERSAMPLE**2 - len(CELL)
     return ShadingPoints(HostArray.of(one_device, surface), CELL, LIGHT, ACTIVE, background)
 
@@ -158,7 +158,7 @@ def test_every_subpixel_belongs_to_one_pixel(supersample):
 def test_a_picture_of_nothing_is_black(scene, one_device):
     nothing = np.empty(0, np.uint32)
     points = ShadingPoints(
-        HostArray(one_device, (ROW_COUNT, 0), np.float32), nothing, nothing.astype(int), 0, 24
+        HostArray(one_device, (SURFACE.size, 0), np.float32), nothing, nothing.astype(int), 0, 24
     )
     plain = Estimate(np.zeros((3, 0)), np.zeros((3, 0)), np.zeros(0))
     image = resolve_image(scene, asked(DirectLight()), points, plain)

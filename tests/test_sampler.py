@@ -47,7 +47,15 @@ def test_philox_gives_the_published_answers(device, counter, key, answer):
         HostArray(device, (4, device.vector_width), np.uint32),
         HostArray(device, 4, np.uint32),
     )
-    kernel(1, *key, HostArray.of(device, np.array(counter, np.uint32)), wide, narrow, group=1)
+    kernel(
+        1,
+        key0=key[0],
+        key1=key[1],
+        counter=HostArray.of(device, np.array(counter, np.uint32)),
+        wide=wide,
+        narrow=narrow,
+        group=1,
+    )
     assert (wide.read() == np.array(answer, np.uint32)[:, None]).all()
     assert tuple(narrow.read()) == answer
     assert tuple(philox(np.array(counter)[:, None], key)[:, 0]) == answer
@@ -138,7 +146,8 @@ def test_bad_seeds_are_refused(seed):
 
 @pytest.mark.parametrize("seed", [np.int64(5), np.uint64(2**64 - 1), 2.0**40, 2**64 - 1])
 def test_every_kind_of_whole_seed_is_split_into_words(seed):
-    assert seed_words(seed) == (int(seed) % 2**32, int(seed) // 2**32)
+    words = {"seed_low": int(seed) % 2**32, "seed_high": int(seed) // 2**32}
+    assert seed_words(seed) == words
 
 
 def test_unknown_sampler_is_refused_with_the_choices(one_device):
@@ -171,7 +180,7 @@ def test_coordinates_of_bounces_are_uniform_and_independent(device, sampler):
     result = HostArray(device, (5, count), np.float32)
     found = []
     for bounce in range(1, bounces + 1):
-        kernel(count // device.vector_width, count, bounce, result)
+        kernel(count // device.vector_width, count=count, bounce=bounce, result=result)
         found.append(result.read())
     coordinates = np.concatenate(found)
     assert (coordinates >= 0).all() and (coordinates < 1).all()

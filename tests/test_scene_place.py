@@ -21,7 +21,7 @@ from ncv_cl import AmbientOcclusion, GlobalIllumination, render
 from ncv_cl.network.encode import GridCube
 from ncv_cl.points.points import RELATIVE_OFFSET, find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.paths import triangle_records
+from ncv_cl.sampling.triangles import triangle_records
 from ncv_cl.scene.geometry import flat_mesh, quad_mesh, sphere_mesh
 from ncv_cl.scene.load import Camera, load_scene
 from ncv_cl.scene.place import (
@@ -330,11 +330,19 @@ def test_offsets_of_paths_are_those_of_points(one_device, tmp_path):
     position, offset = points.rows("position").T, points.rows("offset")[0]
     towards = -np.ascontiguousarray(points.rows("outgoing").T)
     start = np.broadcast_to(scene.camera.position.astype(np.float32), towards.shape)
-    own = triangle_records(scene)[0][tracer.closest(np.ascontiguousarray(start), towards).triangle]
-    by_record = np.abs(own[:, 4]) + RELATIVE_OFFSET * np.abs(position).max(axis=1)
+    records, defines = triangle_records(scene)
+    hit = tracer.closest(np.ascontiguousarray(start), towards).triangle
+    spread = np.abs(records[hit, defines["TRIANGLE_OFFSET"]])
+    by_record = spread + RELATIVE_OFFSET * np.abs(position).max(axis=1)
     np.testing.assert_allclose(by_record, offset, rtol=1e-3)
     # Far less than the box's height.
     assert offset.min() > 0 and offset.max() < 1e-3
+
+
+def corner_about(cube: GridCube, origin: np.ndarray) -> np.ndarray:
+    """What kernels are told of the cube's lower corner."""
+    told = cube.about(origin)
+    return np.array([told[f"lower_{axis}"] for axis in "xyz"])
 
 
 def test_networks_know_the_world_and_not_the_scenes_origin(one_device, tmp_path):
@@ -356,7 +364,7 @@ def test_networks_know_the_world_and_not_the_scenes_origin(one_device, tmp_path)
     there = render(elsewhere, "direct", "ncv", network=file, **options).layers["G"]
     assert here.any() and np.mean(np.abs(there - here)) < 1e-3 * np.mean(np.abs(here))
     cube = GridCube.around(scene.world_bounds)
-    np.testing.assert_allclose(cube.about(scene.origin)[:3], cube.lower - scene.origin)
+    np.testing.assert_allclose(corner_about(cube, scene.origin), cube.lower - scene.origin)
 
 
 def test_a_networks_grid_lies_around_what_is_seen(one_device, scenes, tmp_path):
@@ -368,7 +376,7 @@ def test_a_networks_grid_lies_around_what_is_seen(one_device, scenes, tmp_path):
     assert 1 < cube.side < 10
     assert np.abs(np.array(cube.lower) + cube.side / 2 - MAP).max() < 3
     position = points.rows("position")[:, : points.active]
-    inside = (position - np.array(cube.about(points.origin)[:3])[:, None]) / cube.side
+    inside = (position - corner_about(cube, points.origin)[:, None]) / cube.side
     assert np.mean(((inside >= 0) & (inside <= 1)).all(axis=0)) > 0.8
     # Scenes that are seen for a good part have the grid around them all.
     room = load_scene(scenes / "interior.toml")

@@ -20,7 +20,8 @@ from ncv_cl.integrands import GlobalIllumination
 from ncv_cl.opencl.device import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.scene.load import load_scene
-from ncv_cl.visibility.shadow import MOST_CASTERS, shadow_casters, shadow_defines
+from ncv_cl.visibility.shadow import shadow_casters, shadow_defines
+from ncv_cl.visibility.tuning import MOST_CASTERS
 
 KERNEL = """
 kernel void reaches(const uint count, global const float *casters, global const float *rays,
@@ -55,10 +56,10 @@ def reaches(device, scene, origin, segment):
     result = HostArray(device, len(origin), np.int32)
     kernel(
         -(-len(origin) // device.vector_width),
-        len(origin),
-        HostArray.of(device, shadow_casters(scene)),
-        rays,
-        result,
+        count=len(origin),
+        casters=HostArray.of(device, shadow_casters(scene)),
+        rays=rays,
+        result=result,
     )
     return result.read().astype(bool)
 

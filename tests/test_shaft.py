@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import reference
+from fitting import fitting
 from reference import (
     camera_at,
     grey,
@@ -20,7 +22,8 @@ from ncv_cl.integrands import DirectLight
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN
 from ncv_cl.visibility import shaft
-from ncv_cl.visibility.shaft import TOO_MANY
+from ncv_cl.visibility.shaft import COMMON_LISTS
+from ncv_cl.visibility.tuning import MOST_LIGHTS
 
 CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
 FLOOR = quad([-4, -1, -4], [0, 0, 8], [8, 0, 0])
@@ -69,14 +72,14 @@ def test_occluders_answer_as_embree_does(device, count, lights):
 
 def test_lists_hold_all_that_blocks(device, monkeypatch):
     """Against every triangle, by brute force in double precision."""
-    monkeypatch.setattr(shaft, "MOST_OCCLUDERS", (15,))
+    monkeypatch.setattr(reference, "MOST_OCCLUDERS", 15)
     scene = soup(300)
     points, source, _ = sampling(device, scene, DirectLight(), (8, 6), 32, with_occluders=True)
-    lists = source.occluders.lists.read()
-    everyone = np.arange(len(lists))
-    assert source.occluders.unknown == np.count_nonzero(lists[:, 0] == shaft.TOO_MANY)
-    known = lists[:, 0] != shaft.TOO_MANY
-    np.testing.assert_array_equal(source.occluders.counts(everyone)[known], lists[known, 0])
+    lists = [source.occluders.list_of(point) for point in range(points.active)]
+    known = np.array([one is not None for one in lists])
+    assert source.occluders.unknown == np.count_nonzero(~known)
+    counts = source.occluders.counts(np.arange(points.active))
+    assert [len(one) for one in lists if one is not None] == counts[known].tolist()
     corners = source.occluders.corners.read()[:, : len(scene.triangles)]
     batch = source.draw(range(points.active), range(32), 0)
     uv = np.stack([a.read()[: points.active * 32].reshape(-1, 32) for a in (batch.u, batch.v)])
@@ -88,11 +91,11 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     origin = (points.rows("position") + points.rows("offset") * points.rows("geometric_normal")).T
     size = 3 * points.active * 32
     lit = batch.value.read().ravel()[:size].reshape(3, -1, 32).max(axis=0) > 0
-    known = np.flatnonzero(lists[:, 0] != TOO_MANY)
+    known = np.flatnonzero(known)
     assert 0 < len(known) < points.active
     blocked = 0
     for point in known:
-        own = corners[:, lists[point, 1 : 1 + lists[point, 0]]].T.reshape(-1, 3, 3)
+        own = corners[:, lists[point]].T.reshape(-1, 3, 3)
         start = np.repeat(origin[point][None].astype(float), 32, 0)
         triangle, _, _, distance = intersect(scene, start, ends[point] - start)
         for index in np.unique(triangle[lit[point] & (triangle >= 0) & (distance < 0.9999)]):
@@ -124,8 +127,8 @@ def test_points_that_see_all_of_the_light_trace_nothing(device):
 def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
     images = [
         render(
-            scenes / f"{name}.toml", "direct", method, spp=16, train_spp=4, size=(24, 24),
-            visibility=visibility, device=device,
+            scenes / f"{name}.toml", "direct", spp=16, size=(24, 24), visibility=visibility,
+            device=device, **fitting(method, train_spp=4),
         )
         for visibility in ("auto", "embree")
     ]  # fmt: skip
@@ -135,7 +138,35 @@ def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
     assert first["rays_on_device"] + first["rays_traced"] == second["rays_traced"]
 
 
-def test_large_images_have_shorter_lists(one_device, monkeypatch):
-    monkeypatch.setattr(shaft, "LIST_BYTES", 1000)
-    _, source, _ = sampling(one_device, soup(5), DirectLight(), (12, 10), 4, with_occluders=True)
-    assert source.occluders.lists.shape[1] == shaft.MOST_OCCLUDERS[-1] + 1
+@pytest.mark.parametrize("words", [2, 40, 300])
+def test_lists_are_shorter_where_memory_is_short(device, monkeypatch, words):
+    scene = soup(40)
+    whole = both(device, scene)[1]
+    monkeypatch.setattr(shaft, "MOST_LIST_WORDS", words)
+    _, values, _, source = both(device, scene)
+    np.testing.assert_array_equal(values, whole)
+    lists = [source.occluders.list_of(point) for point in range(source.points.active)]
+    lengths = np.array([len(one) for one in lists if one is not None])
+    assert source.occluders.unknown == len(lists) - len(lengths) > 0
+    used = COMMON_LISTS + (lengths[lengths > 0] + 1).sum()
+    assert used <= words
+    # The next longer ones would not have fitted.
+    monkeypatch.undo()
+    full = sampling(device, scene, DirectLight(), (12, 10), 64, with_occluders=True)[1].occluders
+    longer = [len(full.list_of(point)) for point in range(len(lists)) if lists[point] is None]
+    assert min(longer) > lengths.max(initial=0)
+    assert used + (min(longer) + 1) * longer.count(min(longer)) > words
+
+
+def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path):
+    text = (scenes / "interior.toml").read_text(encoding="utf-8")
+    lamp = "[[lights]]\ncorner = [{}, 2.5, 0]\nedge1 = [0.1, 0, 0]\nedge2 = [0, 0, 0.1]\nradiance = 1\n"
+    path = tmp_path / "lights.toml"
+    for lamps in (MOST_LIGHTS, MOST_LIGHTS + 1):
+        more = "".join(lamp.format(0.2 * k - 1) for k in range(lamps - 2))
+        path.write_text(text + more, encoding="utf-8")
+        options = {"spp": 8, "size": (16, 16), "device": one_device}
+        image = render(path, "direct", "mc", **options)
+        assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
+        traced = render(path, "direct", "mc", visibility="embree", **options)
+        np.testing.assert_array_equal(image.pixels, traced.pixels)

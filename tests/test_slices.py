@@ -106,8 +106,9 @@ def compared(device, scene, size=(12, 10), turns=32, heights=16, radius=math.inf
     room = HostArray(device, shape, np.int32)
     blocked = HostArray(device, (*shape, slices.MOST_BLOCKED + 2, 2), np.float32)
     kernel(
-        turn.size, points.active, points.total, turns, radius, points.surface,
-        HostArray.of(device, turn), *boxes.arguments, room, blocked,
+        turn.size, point_count=points.active, total_points=points.total, turn_count=turns, radius=radius,
+        surface=points.surface, turns=HostArray.of(device, turn), **boxes.arguments, room=room,
+        blocked=blocked,
     )  # fmt: skip
     height = generator.random((*shape, heights))
     axes = [tangent_frame(normal) for normal in points.rows("normal").T[: points.active].astype(float)]

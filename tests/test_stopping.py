@@ -210,7 +210,7 @@ class Countdown(Clock):
 @pytest.mark.parametrize("method", ["ncv", "auto"])
 def test_training_is_given_up_wherever_it_is(one_device, scenes, method, monkeypatch):
     """Its samples still count, once each."""
-    monkeypatch.setattr("ncv_cl.estimation.method.SAMPLES_THAT_PAY", 0)
+    monkeypatch.setattr("ncv_cl.estimation.tuning.SAMPLES_THAT_PAY", 0)
     monkeypatch.setattr(sys.modules["ncv_cl.rendering.render"], "Clock", Countdown)
     options = {"spp": 32, "size": (24, 24), "time_limit": 1e6, "device": one_device}
     truth = render(scenes / "occluders.toml", "ao", "mc", **{**options, "time_limit": None, "spp": 512})

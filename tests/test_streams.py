@@ -11,7 +11,7 @@ import pytest
 
 import ncv_cl as ncv
 from ncv_cl import render
-from ncv_cl.estimation import method
+from ncv_cl.estimation import tuning
 from ncv_cl.learning.density import DensityTrainer
 from ncv_cl.opencl.program import Kernel
 from ncv_cl.points.sampler import HostStream, Stream, host_generator
@@ -58,8 +58,7 @@ def drawn(monkeypatch):
     streams, seeds, samples = defaultdict(set), set(), defaultdict(int)
     launch = Kernel.__call__
 
-    def spied(self, work_items, *arguments, **options):
-        given = dict(zip(self._argument_names, arguments, strict=True))
+    def spied(self, work_items, **given):
         if "stream" in given:
             streams[stage()].add(given["stream"])
             seeds.add((given["seed_low"], given["seed_high"]))
@@ -69,7 +68,7 @@ def drawn(monkeypatch):
             for point in given["order"].read()[first : first + count].tolist():
                 for number in numbers:
                     samples[given["stream"], point, number] += 1
-        return launch(self, work_items, *arguments, **options)
+        return launch(self, work_items, **given)
 
     monkeypatch.setattr(Kernel, "__call__", spied)
     return streams, seeds, samples
@@ -78,8 +77,8 @@ def drawn(monkeypatch):
 @pytest.fixture
 def forced(monkeypatch):
     """Method "auto" takes a control variate."""
-    for name in ("SAMPLES_THAT_PAY", "NESTED_SAMPLES_THAT_PAY"):
-        monkeypatch.setattr(method, name, 0)
+    for name in ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY"):
+        monkeypatch.setattr(tuning, name, 0)
 
 
 @pytest.mark.parametrize("limit", [None, 1e3])

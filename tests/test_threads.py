@@ -118,7 +118,7 @@ def test_a_kernel_keeps_the_arguments_of_one_thread_from_those_of_others(one_dev
         wrong = 0
         for _ in range(500):
             where.fill(-1)
-            shared.kernel("put")(64, where, what)
+            shared.kernel("put")(64, where=where, what=what)
             wrong += not (where.read() == what).all()
         return wrong
 

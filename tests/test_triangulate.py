@@ -61,7 +61,7 @@ def warp_of(device, lines, probability):
 
 def built_records(device, warp, count):
     order = HostArray.of(device, np.arange(count, dtype=np.uint32))
-    return warp.records(order, range(count)).read()[:count]
+    return warp.records(order, range(count)).read()[:count].view(np.float32)
 
 
 class Decoded:
@@ -178,7 +178,7 @@ def test_a_points_record_does_not_depend_on_its_batch(device):
     warp = warp_of(device, random_lines(30), random_magnitudes(30))
     whole = built_records(device, warp, 30)
     order = np.random.default_rng(0).permutation(30).astype(np.uint32)
-    part = warp.records(HostArray.of(device, order), range(7, 12)).read()[:5]
+    part = warp.records(HostArray.of(device, order), range(7, 12)).read()[:5].view(np.float32)
     for own, number in zip(part, order[7:12], strict=True):
         one, other = (Decoded(record, warp.defines) for record in (own, whole[number]))
         for name in ("corners", "values", "scale", "cumulative"):

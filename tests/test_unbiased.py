@@ -48,6 +48,9 @@ SPP, TRAIN_SPP, REFERENCE_SPP = 48, 8, 8192
 CASES = [
     *itertools.product(SCENES, INTEGRANDS, ("mc", "ncv"), SAMPLERS),
     *itertools.product(("occluders",), ("ao-height", "direct"), list(METHODS)[2:-2], SAMPLERS),
+    *itertools.product(
+        ("cornell_box", "interior", "knot", "occluders"), ("direct",), list(METHODS)[-2:], SAMPLERS
+    ),
     *itertools.product(("knot", "occluders"), ("ao-height", "ao-cosine"), list(METHODS)[-2:], SAMPLERS),
 ]
 FALSE_ALARMS = 1e-3 / len(CASES)

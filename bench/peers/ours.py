@@ -23,7 +23,7 @@ from ncv_cl.learning.train import Trainer
 from ncv_cl.network.encode import GridCube
 from ncv_cl.network.network import FoldedNetwork, Network
 from ncv_cl.opencl.device import Device, HostArray
-from ncv_cl.points.points import ROW, ROW_COUNT, ShadingPoints
+from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.points.sampler import Stream
 from ncv_cl.rendering.estimate import UNIT_CUBE
 from ncv_cl.sampling.accumulate import Accumulator
@@ -45,9 +45,8 @@ CUBE = GridCube((0.0, 0.0, 0.0), 1.0)
 def shading_points(device: Device, features: np.ndarray) -> ShadingPoints:
     """Points whose positions are `features`, (points, up to 3), scaled to [0, 1]."""
     points = len(features)
-    surface = np.zeros((ROW_COUNT, points), np.float32)
-    at = ROW["POSITION"]
-    surface[at : at + features.shape[1]] = features.T
+    surface = np.zeros((SURFACE.size, points), np.float32)
+    surface[SURFACE["position"]][: features.shape[1]] = features.T
     nowhere = np.full(points, -1, np.int32)
     numbers = np.arange(points, dtype=np.uint32)
     return ShadingPoints(HostArray.of(device, surface), numbers, nowhere, points, 0)

@@ -62,7 +62,8 @@ real scattered(const real albedo, const real f0, const real lobe, const real wei
   return albedo * M_1_PI_F * below_i * below_o + has_lobe * (f0 + (1.0f - f0) * weight_h) * lobe;
 }
 
-/* f_r for VEC unit directions; zero below the shading normal. */
+/* f_r for VEC unit directions. With HAS_SPECULAR it is zero below the shading normal; without, callers
+ * multiply by a cosine that is. */
 void scattering(const Scatterer *s, const triple incident, real f_r[3]) {
 #if HAS_SPECULAR
   const real cosine_i = dot_triple(s->normal, incident);

@@ -16,22 +16,16 @@
  * the light. Lights that are small as seen from the position are sampled by area, (u, v) along the edges, which
  * is then as good and costs less.
  *
- * `lights`: LIGHT_COUNT records of LIGHT_FLOATS floats:
- *   0 corner, 3 edge1, 6 edge2, 9 unit normal of the emitting side, 12 radiance, 15 two unused, 17 two-sided (0 or 1),
- *   18 offset of ray ends off the light's plane, for rays from the scene's origin, 19 area,
- *   20 unit vector along edge2, 23 unit vector across it in the plane, 26 length of edge2, 27 edge1 across, 28 edge1
- *   along edge2 over that, 29 squared distance of the middle from which on the light is small, 30 two unused.
- * With two lights or more follow FRAME_FLOATS floats: 0 lower corner of the cells' grid, 3 one over the extent of its
- * boxes, 6 how many along each axis, 9 where the table of cells begins; rows of STRIP_STEPS numbers of lights, then
- * first and width of each light's strip, the first row by the lights' power alone; and the number of each cell's row.
- * A row is known by where it begins.
+ * `lights`: LIGHT_COUNT records of LIGHT in lights.py, which says what they hold. With two lights or more follow a
+ * record of FRAME there; rows of STRIP_STEPS numbers of lights, then first and width of each light's strip (STRIP), the
+ * first row by the lights' power alone; and the number of each cell's row. A row is known by where it begins.
  *
  * Work-group contract: none; pure functions of private values.
  */
 
 #define LIGHT_FRAME (LIGHT_COUNT * LIGHT_FLOATS)
 #define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
-#define ROW_FLOATS (STRIP_STEPS + 2 * LIGHT_COUNT)
+#define LIGHT_ROW_FLOATS (STRIP_STEPS + STRIP_FLOATS * LIGHT_COUNT)
 /* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
 #ifndef INLINED
 #define INLINED __attribute__((always_inline))
@@ -50,7 +44,7 @@ typedef struct {
 /* How far rays from `position` end off the light's plane: some rounding errors of the coordinates that enter there,
  * along its normal, which are those of the light about the position (surface.cl). */
 float light_offset(global const float *restrict record, const float3 position) {
-  return record[18] + 2.0f * RELATIVE_OFFSET * dot(fabs(vload3(3, record)), fabs(position));
+  return record[LIGHT_OFFSET] + 2.0f * RELATIVE_OFFSET * dot(fabs(vload3(0, record + LIGHT_NORMAL)), fabs(position));
 }
 
 /* A light from a position: its plane's distance, where lines along edge2 begin and end across it, and where the first
@@ -118,15 +112,20 @@ INLINED LightLine light_line(const LightView *view, const real x, const real y) 
   return line;
 }
 
-/* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
-INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
-  const real angle = view_angle(view);
+/* Sends u to x across edge2; `angle` is the light's `view_angle`. */
+INLINED real view_x(const LightView *view, const real u, const real angle) {
   real sine, cosine;
   half_turn_sincos(u * angle, &sine, &cosine);
   const real toward = FMA(view->z, cosine, -view->x0 * sine);
   /* Tangent of theta by the sum of its beginning and u's part: as exact near the foot as at the light's ends. */
   const real tangent = FMA(view->z, sine, view->x0 * cosine) / max(toward, (real)1e-30f);
-  *x = clamp(view->z * tangent, view->x0, view->x0 + view->width);
+  return clamp(view->z * tangent, view->x0, view->x0 + view->width);
+}
+
+/* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
+INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
+  const real angle = view_angle(view);
+  *x = view_x(view, u, angle);
   const real begin = FMA(*x - view->x0, view->slope, view->y0);
   const LightLine line = light_line(view, *x, begin);
   /* Of positive terms: 1 - h^2 at h = (1 - v) h0 + v h1. */
@@ -150,9 +149,15 @@ whole all_strips(global const float *restrict lights) {
   integer name(global const float *restrict lights, const number x, const number y, const number z,                 \
                const number normal_x, const number normal_y, const number normal_z) {                               \
     global const float *restrict frame = lights + LIGHT_FRAME;                                                      \
-    const integer column = to_integer(clamp((x - frame[0]) * frame[3], (number)0.0f, (number)(frame[6] - 1.0f)));   \
-    const integer row = to_integer(clamp((y - frame[1]) * frame[4], (number)0.0f, (number)(frame[7] - 1.0f)));      \
-    const integer layer = to_integer(clamp((z - frame[2]) * frame[5], (number)0.0f, (number)(frame[8] - 1.0f)));    \
+    const number x_boxes = (x - frame[FRAME_LOWER]) * frame[FRAME_INVERSE];                                         \
+    const number last_x = (number)(frame[FRAME_COUNTS] - 1.0f);                                                     \
+    const integer column = to_integer(clamp(x_boxes, (number)0.0f, last_x));                                        \
+    const number y_boxes = (y - frame[FRAME_LOWER + 1]) * frame[FRAME_INVERSE + 1];                                 \
+    const number last_y = (number)(frame[FRAME_COUNTS + 1] - 1.0f);                                                 \
+    const integer row = to_integer(clamp(y_boxes, (number)0.0f, last_y));                                           \
+    const number z_boxes = (z - frame[FRAME_LOWER + 2]) * frame[FRAME_INVERSE + 2];                                 \
+    const number last_z = (number)(frame[FRAME_COUNTS + 2] - 1.0f);                                                 \
+    const integer layer = to_integer(clamp(z_boxes, (number)0.0f, last_z));                                         \
     const number size_x = fabs(normal_x);                                                                           \
     const number size_y = fabs(normal_y);                                                                           \
     const number size_z = fabs(normal_z);                                                                           \
@@ -161,8 +166,8 @@ whole all_strips(global const float *restrict lights) {
     const number along = choose(choose(normal_z, normal_y, along_y), normal_x, along_x);                            \
     const integer axis = choose(choose((integer)2, (integer)1, along_y), (integer)0, along_x);                      \
     const integer direction = 2 * axis + choose((integer)0, (integer)1, along > 0.0f);                              \
-    const integer box = (layer * (int)frame[7] + row) * (int)frame[6] + column;                                     \
-    return FIRST_ROW + ROW_FLOATS * to_integer(look_up(lights, (int)frame[9] + 6 * box + direction));               \
+    const integer box = (layer * (int)frame[FRAME_COUNTS + 1] + row) * (int)frame[FRAME_COUNTS] + column;           \
+    return FIRST_ROW + LIGHT_ROW_FLOATS * to_integer(look_up(lights, (int)frame[FRAME_TABLE] + 6 * box + direction));\
   }
 
 DEFINE_STRIPS(hit_strips, real, whole, TO_WHOLE, SELECT, gather)
@@ -201,9 +206,9 @@ INLINED whole light_at(global const float *restrict lights, const whole row, con
 #if LIGHT_COUNT > 1
   const whole step = min(TO_WHOLE(u * (float)STRIP_STEPS), (whole)(STRIP_STEPS - 1));
   const whole light = TO_WHOLE(gather(lights, row + step));
-  const whole strip = row + STRIP_STEPS + 2 * light;
-  *first = gather(lights, strip);
-  *width = gather(lights, strip + 1);
+  const whole strip = row + STRIP_STEPS + STRIP_FLOATS * light;
+  *first = gather(lights, strip + STRIP_FIRST);
+  *width = gather(lights, strip + STRIP_WIDTH);
   return light * LIGHT_FLOATS;
 #else
   (void)lights;
@@ -236,8 +241,12 @@ INLINED triple light_triple(global const float *restrict lights, const whole rec
 /* The light of a record about a position, `begin` being its corner from there. */
 INLINED LightView light_view(global const float *restrict lights, const whole record, const triple begin, const triple normal,
                      const triple across, const triple along) {
-  return (LightView){fabs(dot_triple(begin, normal)), dot_triple(begin, across), light_number(lights, record, 27),
-                     dot_triple(begin, along), light_number(lights, record, 28), light_number(lights, record, 26)};
+  return (LightView){fabs(dot_triple(begin, normal)),
+                     dot_triple(begin, across),
+                     light_number(lights, record, LIGHT_WIDTH),
+                     dot_triple(begin, along),
+                     light_number(lights, record, LIGHT_SLOPE),
+                     light_number(lights, record, LIGHT_LENGTH)};
 }
 
 INLINED LightSample sample_lights(global const float *restrict lights, const whole strips, const triple position,
@@ -255,21 +264,21 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   real first, width;
   const whole record = light_at(lights, strips, u, &first, &width);
   const real along = (u - first) / width;
-  const triple corner = light_triple(lights, record, 0);
-  const triple edge1 = light_triple(lights, record, 3);
-  const triple edge2 = light_triple(lights, record, 6);
-  const triple normal = light_triple(lights, record, 9);
+  const triple corner = light_triple(lights, record, LIGHT_CORNER);
+  const triple edge1 = light_triple(lights, record, LIGHT_EDGE1);
+  const triple edge2 = light_triple(lights, record, LIGHT_EDGE2);
+  const triple normal = light_triple(lights, record, LIGHT_NORMAL);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
   const triple middle = {begin.x + 0.5f * (edge1.x + edge2.x), begin.y + 0.5f * (edge1.y + edge2.y),
                          begin.z + 0.5f * (edge1.z + edge2.z)};
   /* From the point on the surface: what the integrand is made of. */
   triple to = {begin.x + along * edge1.x + v * edge2.x, begin.y + along * edge1.y + v * edge2.y,
                begin.z + along * edge1.z + v * edge2.z};
-  const whole large = dot_triple(middle, middle) < light_number(lights, record, 29);
+  const whole large = dot_triple(middle, middle) < light_number(lights, record, LIGHT_LARGE);
   real solid_angle = (real)0.0f;
   if (ANY(large)) {
-    const triple e2 = light_triple(lights, record, 20);
-    const triple e1 = light_triple(lights, record, 23);
+    const triple e2 = light_triple(lights, record, LIGHT_ALONG);
+    const triple e1 = light_triple(lights, record, LIGHT_ACROSS);
     const LightView view = light_view(lights, record, begin, normal, e1, e2);
     real x, y;
     solid_angle = sample_view(&view, along, v, &x, &y);
@@ -282,18 +291,19 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   const real squared = max(dot_triple(to, to), (real)1e-30f);
   const real inverse = rsqrt(squared);
   const real emitted = -(normal.x * to.x + normal.y * to.y + normal.z * to.z) * inverse;
-  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, 17) > 0.0f);
-  const real stands_for = SELECT(facing * inverse * inverse * light_number(lights, record, 19), solid_angle, large);
+  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
+  const real by_area = facing * inverse * inverse * light_number(lights, record, LIGHT_AREA);
+  const real stands_for = SELECT(by_area, solid_angle, large);
   LightSample found;
   found.lit = facing > 0.0f;
   found.towards = (triple){to.x * inverse, to.y * inverse, to.z * inverse};
   for (int channel = 0; channel < 3; ++channel)
-    found.radiance[channel] = stands_for * (light_number(lights, record, 12 + channel) / width);
+    found.radiance[channel] = stands_for * (light_number(lights, record, LIGHT_RADIANCE + channel) / width);
   found.density = width / max(stands_for, (real)1e-30f);
   /* From the moved origin to a point off the light's plane, on the side the ray comes from. */
   /* As light_offset. */
   const real along_normal = fabs(normal.x * position.x) + fabs(normal.y * position.y) + fabs(normal.z * position.z);
-  const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, light_number(lights, record, 18));
+  const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, light_number(lights, record, LIGHT_OFFSET));
   const real side = SELECT(-offset, offset, emitted > 0.0f);
   found.segment.x = to.x + side * normal.x - (origin.x - position.x);
   found.segment.y = to.y + side * normal.y - (origin.y - position.y);
@@ -306,19 +316,19 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
  * from a position that sees it under the cosine `facing`. */
 real light_stands_for(global const float *restrict lights, const whole record, const triple position,
                       const triple segment, const real facing) {
-  const triple corner = light_triple(lights, record, 0);
+  const triple corner = light_triple(lights, record, LIGHT_CORNER);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
-  const triple edge1 = light_triple(lights, record, 3);
-  const triple edge2 = light_triple(lights, record, 6);
+  const triple edge1 = light_triple(lights, record, LIGHT_EDGE1);
+  const triple edge2 = light_triple(lights, record, LIGHT_EDGE2);
   const triple middle = {FMA((real)0.5f, edge1.x + edge2.x, begin.x), FMA((real)0.5f, edge1.y + edge2.y, begin.y),
                          FMA((real)0.5f, edge1.z + edge2.z, begin.z)};
   const real squared = dot_triple(segment, segment);
-  real stands_for = facing / squared * light_number(lights, record, 19);
-  const whole large = dot_triple(middle, middle) < light_number(lights, record, 29);
+  real stands_for = facing / squared * light_number(lights, record, LIGHT_AREA);
+  const whole large = dot_triple(middle, middle) < light_number(lights, record, LIGHT_LARGE);
   if (ANY(large)) {
-    const triple along = light_triple(lights, record, 20);
-    const triple across = light_triple(lights, record, 23);
-    const LightView view = light_view(lights, record, begin, light_triple(lights, record, 9), across, along);
+    const triple along = light_triple(lights, record, LIGHT_ALONG);
+    const triple across = light_triple(lights, record, LIGHT_ACROSS);
+    const LightView view = light_view(lights, record, begin, light_triple(lights, record, LIGHT_NORMAL), across, along);
     const real x = dot_triple(segment, across);
     const LightLine line = light_line(&view, x, FMA(x - view.x0, view.slope, view.y0));
     stands_for = SELECT(stands_for, view_angle(&view) * line.range, large);
@@ -329,7 +339,7 @@ real light_stands_for(global const float *restrict lights, const whole record, c
 /* How wide the strips of several records are in their rows. */
 real strip_width(global const float *restrict lights, const whole strips, const whole record) {
 #if LIGHT_COUNT > 1
-  return gather(lights, strips + STRIP_STEPS + 1 + record / (LIGHT_FLOATS / 2));
+  return gather(lights, strips + STRIP_STEPS + STRIP_WIDTH + record / (LIGHT_FLOATS / STRIP_FLOATS));
 #else
   (void)lights;
   (void)strips;

@@ -31,14 +31,14 @@ LightGuess guess_light(global const float *restrict lights, const whole record, 
   const real squared = max(dot_triple(segment, segment), (real)1e-30f);
   const real inverse = rsqrt(squared);
   const triple towards = {segment.x * inverse, segment.y * inverse, segment.z * inverse};
-  const real facing = fabs(dot_triple(gather_triple(lights, record + 9), towards));
+  const real facing = fabs(dot_triple(gather_triple(lights, record + LIGHT_NORMAL), towards));
   LightGuess guess;
   guess.solid_angle = light_stands_for(lights, record, position, segment, facing);
   guess.light = width / max(guess.solid_angle, (real)1e-30f);
   guess.lobe = lobe_density(s, towards);
   real f_r[3];
   scattering(s, towards, f_r);
-  const triple radiance = gather_triple(lights, record + 12);
+  const triple radiance = gather_triple(lights, record + LIGHT_RADIANCE);
   guess.amount = (f_r[0] * radiance.x + f_r[1] * radiance.y + f_r[2] * radiance.z) *
                  max(dot_triple(s->normal, towards), (real)0.0f);
   return guess;
@@ -47,22 +47,22 @@ LightGuess guess_light(global const float *restrict lights, const whole record, 
 /* From the position to the middle of each light, and to the point on it that is about the nearest to a direction. */
 void guess_places(global const float *restrict lights, const whole record, const triple position, const triple direction,
                   triple *middle, triple *nearest) {
-  const triple corner = gather_triple(lights, record);
-  const triple edge1 = gather_triple(lights, record + 3);
-  const triple edge2 = gather_triple(lights, record + 6);
-  const triple normal = gather_triple(lights, record + 9);
+  const triple corner = gather_triple(lights, record + LIGHT_CORNER);
+  const triple edge1 = gather_triple(lights, record + LIGHT_EDGE1);
+  const triple edge2 = gather_triple(lights, record + LIGHT_EDGE2);
+  const triple normal = gather_triple(lights, record + LIGHT_NORMAL);
   const triple begin = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
   *middle = (triple){FMA((real)0.5f, edge1.x + edge2.x, begin.x), FMA((real)0.5f, edge1.y + edge2.y, begin.y),
                      FMA((real)0.5f, edge1.z + edge2.z, begin.z)};
   /* Where the direction does not meet the plane: far out that way. */
-  const real away = 1e3f * sqrt(dot_triple(*middle, *middle) + gather(lights, record + 19));
+  const real away = 1e3f * sqrt(dot_triple(*middle, *middle) + gather(lights, record + LIGHT_AREA));
   const real distance = dot_triple(begin, normal) / dot_triple(direction, normal);
   const real t = SELECT(away, min(distance, away), distance > 0.0f);
   const triple met = {FMA(t, direction.x, -begin.x), FMA(t, direction.y, -begin.y), FMA(t, direction.z, -begin.z)};
-  const real width = gather(lights, record + 27);
-  const real length = gather(lights, record + 26);
-  const real x = clamp(dot_triple(met, gather_triple(lights, record + 23)), (real)0.0f, width);
-  const real y = dot_triple(met, gather_triple(lights, record + 20)) - x * gather(lights, record + 28);
+  const real width = gather(lights, record + LIGHT_WIDTH);
+  const real length = gather(lights, record + LIGHT_LENGTH);
+  const real x = clamp(dot_triple(met, gather_triple(lights, record + LIGHT_ACROSS)), (real)0.0f, width);
+  const real y = dot_triple(met, gather_triple(lights, record + LIGHT_ALONG)) - x * gather(lights, record + LIGHT_SLOPE);
   const real a = x / width;
   const real b = clamp(y, (real)0.0f, length) / length;
   *nearest = (triple){FMA(a, edge1.x, FMA(b, edge2.x, begin.x)), FMA(a, edge1.y, FMA(b, edge2.y, begin.y)),
@@ -116,13 +116,13 @@ float lobe_share_of_square(global const float *restrict lights, const whole stri
 }
 
 kernel void find_lobe_shares(const uint point_count, const uint total_points, global float *restrict surface,
-                             global const float *restrict lights) {
+                             global const float *restrict integrand_data) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   const bool shiny = p.reflectance.x + p.reflectance.y + p.reflectance.z > 0.0f;
   surface[ROW_LOBE_SHARE * (ulong)total_points + point] =
-      shiny ? lobe_share_of_square(lights, strips_at(lights, &p), &p) : 0.0f;
+      shiny ? lobe_share_of_square(integrand_data, strips_at(integrand_data, &p), &p) : 0.0f;
 }
 
 /* The lights that directions meet first. Their radiance is that of the light itself: nothing is divided by a density,
@@ -133,23 +133,25 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   whole found = (whole)(-1);
   for (int light = 0; light < LIGHT_COUNT; ++light) {
     global const float *restrict record = lights + light * LIGHT_FLOATS;
-    const triple begin = {record[0] - position.x, record[1] - position.y, record[2] - position.z};
-    const triple normal = to_triple(vload3(3, record));
-    const triple along = to_triple(vload3(0, record + 20));
-    const triple across = to_triple(vload3(0, record + 23));
+    const triple begin = {record[LIGHT_CORNER] - position.x, record[LIGHT_CORNER + 1] - position.y,
+                          record[LIGHT_CORNER + 2] - position.z};
+    const triple normal = to_triple(vload3(0, record + LIGHT_NORMAL));
+    const triple along = to_triple(vload3(0, record + LIGHT_ALONG));
+    const triple across = to_triple(vload3(0, record + LIGHT_ACROSS));
     const real t = dot_triple(begin, normal) / dot_triple(direction, normal);
     const triple met = {FMA(t, direction.x, -begin.x), FMA(t, direction.y, -begin.y), FMA(t, direction.z, -begin.z)};
     const real x = dot_triple(met, across);
-    const real y = dot_triple(met, along) - x * record[28];
-    const whole here = (t > 0.0f) && (t < nearest) && (x >= 0.0f) && (x <= record[27]) && (y >= 0.0f) && (y <= record[26]);
+    const real y = dot_triple(met, along) - x * record[LIGHT_SLOPE];
+    const whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= 0.0f) && (y <= record[LIGHT_LENGTH]);
+    const whole here = (t > 0.0f) && (t < nearest) && inside;
     nearest = SELECT(nearest, t, here);
     found = SELECT(found, (whole)light, here);
   }
   const whole light = max(found, (whole)0);
   const whole record = light * LIGHT_FLOATS;
-  const triple normal = gather_triple(lights, record + 9);
+  const triple normal = gather_triple(lights, record + LIGHT_NORMAL);
   const real emitted = -dot_triple(normal, direction);
-  const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + 17) > 0.0f);
+  const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + LIGHT_TWO_SIDED) > 0.0f);
   LightSample sample;
   sample.lit = (found >= 0) && (facing > 0.0f);
   const real distance = SELECT((real)1.0f, nearest, sample.lit);
@@ -157,10 +159,11 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   const real stands_for = light_stands_for(lights, record, position, to, max(facing, (real)1e-20f));
   sample.density = strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
   sample.towards = direction;
-  for (int channel = 0; channel < CHANNELS; ++channel) sample.radiance[channel] = gather(lights, record + 12 + channel);
+  for (int channel = 0; channel < CHANNELS; ++channel)
+    sample.radiance[channel] = gather(lights, record + LIGHT_RADIANCE + channel);
   /* As in sample_lights. */
   const real along_normal = fabs(normal.x * position.x) + fabs(normal.y * position.y) + fabs(normal.z * position.z);
-  const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, gather(lights, record + 18));
+  const real offset = FMA((real)(2.0f * RELATIVE_OFFSET), along_normal, gather(lights, record + LIGHT_OFFSET));
   const real side = SELECT(-offset, offset, emitted > 0.0f);
   sample.segment = (triple){to.x + side * normal.x - (origin.x - position.x), to.y + side * normal.y - (origin.y - position.y),
                             to.z + side * normal.z - (origin.z - position.z)};
@@ -169,6 +172,11 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
 
 triple select_triple(const triple a, const triple b, const whole condition) {
   return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
+}
+
+/* The lights' u of a sample past the lobe's share of the square. */
+real past_lobe(const float share, const real u) {
+  return min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);
 }
 
 /* A point of the square: on a light, or in the lobe; `radiance` is then over the density of both. */
@@ -180,8 +188,7 @@ LightSample sample_lights_and_lobe(global const float *restrict lights, const Sh
   const float share = p->lobe_share;
   if (!(share > 0.0f)) return sample_lights(lights, strips, position, origin, u, v);
   const whole in_lobe = u < share;
-  const real along = min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);
-  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(along, u, in_lobe), v);
+  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
   const LightSample met = lights_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
   sample.lit = SELECT(sample.lit, met.lit, in_lobe);
   sample.density = SELECT(sample.density, met.density, in_lobe);

@@ -1,32 +1,32 @@
-/* The arrangement of lines in a convex cell, as half-edges (de Berg et al., Computational Geometry, ch. 8).
+/* Arrangement of lines in a convex cell, as half-edges (de Berg et al., Computational Geometry, ch. 8).
  *
  * A cell is a convex polygon. Lines are inserted one after the other. Each line is evaluated once at all
- * vertices (`side`); from there on only the stored signs speak: zero counts as positive, a half-edge is
- * crossed when its two ends lie on different sides. Every line that enters a face therefore leaves it, each
- * insertion splits faces by chords, and the result is a planar subdivision whatever the rounding.
+ * vertices (`side`); from there on only the stored signs decide: zero counts as positive, a half-edge is
+ * crossed if its two ends lie on different sides. Every line that enters a face therefore leaves it,
+ * each insertion splits faces by chords, and the result is a planar subdivision whatever the rounding.
  *
- * That alone does not make it the right subdivision. Where lines meet in a corner of the cell, the ends of
- * earlier lines lie within rounding of the new one, and noise in their signs would lead a walk out of the cell
- * beside its own corner. So a value within LINE_ROUNDING of zero is zero; a line's signs must change twice round
- * the cell's corners or not at all; it must leave through the side whose corners differ; and it may cross each
- * earlier line once. A line that does not makes the arrangement `failed`, and the point is done on another path.
+ * It may still be a wrong subdivision. Where lines meet in a corner of the cell, the ends of earlier
+ * lines lie within rounding of the new one, and a wrong sign would lead the walk out of the cell beside
+ * its own corner. So a value within LINE_ROUNDING of zero is zero. And every line is checked: its signs
+ * must change twice round the cell's corners or not at all; it must leave through the side whose corners
+ * differ; and it may cross each earlier line once. A line that fails a check makes the arrangement
+ * `failed`, and the point is done again in another way.
  *
- * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is the
- * same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no half-edges
- * outside the cell). A half-edge keeps its origin for ever: splitting it shortens it, and what is cut off
- * becomes a new half-edge. So nobody's `next` has to be searched for, `prev` is not needed, and half-edge i
- * always starts at corner i of the cell. Vertices lie as structure of arrays, padded to whole vectors.
- * `tag` holds the layer whose line the edge lies on (0: border of the unit square). Each face has exactly one
- * half-edge with the flag REPRESENTATIVE, listed in `face`.
+ * Layout. Half-edges bound their face counter-clockwise. `next` follows the face's boundary, `twin` is
+ * the same edge seen from the neighbouring face, or OUTSIDE + i on side i of the cell (there are no
+ * half-edges outside the cell). A half-edge keeps its origin for ever: splitting it shortens it, and
+ * what is cut off becomes a new half-edge. So nobody's `next` has to be searched for, `prev` is not
+ * needed, and half-edge i always starts at corner i of the cell. Vertices lie as structure of arrays,
+ * padded to whole vectors. `tag` holds the layer whose line the edge lies on (0: border of the unit
+ * square). Each face has exactly one half-edge with the flag REPRESENTATIVE, listed in `face`.
  *
- * Where all points share the lines' directions, their determinants, two by two, could be kept, which leaves a
- * multiplication in leader_place_vertex where it now divides. Tried with multiplications in the division's
- * place, insertion took 25.4 ns a face, not 26.6 (32 lines, one core): one hundredth of a point's time, as the
- * division does not hold up the walk. The order of the directions is of no use to a walk either.
+ * Tried and dropped: where all points share the lines' directions, the determinants of pairs of them
+ * could be kept, and leader_place_vertex would multiply where it now divides. Insertion then took 25.4
+ * ns a face, not 26.6 (32 lines, one core), which is one hundredth of a point's time.
  *
- * Constants. MAX_VERTICES, MAX_HALF_EDGES, MAX_FACES: exact bounds from the host (arrangement.py), the largest of
- * all arrangements. Whoever appends looks at them all the same.
- * SPACE: where a Dcel lies (__local on GPUs if it fits, else __global).
+ * Constants. MAX_VERTICES, MAX_HALF_EDGES, MAX_FACES: exact bounds from the host (arrangement.py), the
+ * largest of all arrangements. They are checked at every append all the same. SPACE: where a Dcel lies
+ * (__local on GPUs if it fits, else __global).
  *
  * Work-group contract: LANES work-items share one Dcel. `add_lines` is called by all of them and holds
  * barriers under uniform conditions; functions named leader_* are for lane 0 alone, between barriers.
@@ -38,8 +38,8 @@
 #define REPRESENTATIVE 0x8000
 #define TAG_MASK 0x7fff
 
-/* What a x + b y + c can be off by at a vertex that lies on the line, over the sum of its terms' magnitudes: its
- * own rounding and the vertex's. */
+/* What a x + b y + c can be off by at a vertex that lies on the line, over the sum of its terms'
+ * magnitudes: its own rounding and the vertex's. */
 #if DOUBLE
 #define LINE_ROUNDING (2 * DBL_EPSILON)
 #else
@@ -65,10 +65,11 @@ typedef struct {
   int faces;
   int lines; /* lines inserted so far */
   int visited; /* faces that the depth-first walk has entered */
-  int failed; /* sticky: a line did not walk as a line does, the point must be done again */
+  int failed; /* sticky: a line failed a check, the point must be done again */
 } __attribute__((aligned(64))) Dcel;
 
-/* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole vectors. */
+/* VEC affine functions a x + b y + c at a time: structure of arrays, padded by zeros to whole
+ * vectors. */
 typedef struct {
   number a[LINE_STRIDE] __attribute__((aligned(64)));
   number b[LINE_STRIDE] __attribute__((aligned(64)));
@@ -101,9 +102,9 @@ void leader_begin_unit_square(SPACE Dcel *d) {
   leader_begin_cell(d, 4);
 }
 
-/* A vertex where the current line crosses the edge between two vertices on different sides. It is reached
- * from the end that is nearer to the line: the step is then at most half the edge, and a vertex close to
- * one end keeps its relative distance from it. */
+/* A vertex where the current line crosses the edge between two vertices on different sides. It is
+ * reached from the end that is nearer to the line: the step is then at most half the edge, and a vertex
+ * close to one end keeps its relative distance from it. */
 void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const int to) {
   const int near = fabs(d->side[from]) <= fabs(d->side[to]) ? from : to;
   const int far = near == from ? to : from;
@@ -115,7 +116,8 @@ void leader_place_vertex(SPACE Dcel *d, const int vertex, const int from, const 
 
 bool leader_below(SPACE const Dcel *d, const int vertex) { return d->side[vertex] < 0; }
 
-/* Where a line enters and leaves the cell: the half-edge on its border that is crossed, or -1, and the side. */
+/* Where a line enters and leaves the cell: the half-edge on its border that is crossed, or -1, and the
+ * side. */
 typedef struct {
   int half_edge;
   int leaving_side;
@@ -123,7 +125,8 @@ typedef struct {
 
 Passage leader_find_passage(SPACE Dcel *d) {
   Passage passage = {-1, -1};
-  /* Sides of the cell with corners on different sides of the line: the first, the second, and no more. */
+  /* Sides of the cell with corners on different sides of the line: the first, the second, and no
+   * more. */
   int side = 0;
   const bool below = leader_below(d, 0);
   while (side + 1 < d->corners && leader_below(d, side + 1) == below) ++side;
@@ -161,7 +164,8 @@ void leader_insert_line(SPACE Dcel *d, const ushort tag) {
   int edges = d->edges;
   int faces = d->faces;
 
-  /* The line stands at vertex `from` on the boundary of a face, between half-edges `behind` and `ahead`. */
+  /* The line stands at vertex `from` on the boundary of a face, between half-edges `behind` and
+   * `ahead`. */
   int from = vertices++;
   int ahead = edges++;
   int ahead_next = d->edge[behind].next;
@@ -261,7 +265,7 @@ void leader_list_crossing_lines(SPACE int *crossing, const int count) {
   crossing[LINE_STRIDE] = found;
 }
 
-/* a x + b y + c, or 0 where that is not told from it. */
+/* a x + b y + c, or 0 where the value is within rounding of 0. */
 numbers snapped_value(const numbers a, const numbers b, const numbers c, const numbers x, const numbers y) {
   const numbers z = FMA(a, x, FMA(b, y, c));
   const numbers terms = FMA(fabs(a), x, FMA(fabs(b), y, fabs(c)));

@@ -1,27 +1,28 @@
 /* Exact integrals over the unit square of ReLU networks g(u, v), one network per shading point.
  *
- * Depth first: one Dcel per arrangement, reused from face to face. Arrangement k consists of the lines of
- * hidden layer k inside one face of arrangement k - 1; inside one of its faces all neurons of the layers
- * up to k are affine, so the neurons of layer k + 1 are lines there. METHOD_FULL builds arrangements for all
- * hidden layers; in a face of the last one every last-layer neuron is affine and keeps its sign, and its
- * integral follows from the face's area and first moments. Otherwise (decoupled) the last hidden layer is
- * never cut: its neurons are affine on the triangles of the arrangement before, where the integral of
- * relu(z) has a closed form in the values at the three vertices (triangle_integral).
- * Both give M[j], the integral of last-layer neuron j, and G = b + W M.
+ * Depth first: one Dcel per arrangement, reused from face to face. Arrangement k consists of the lines
+ * of hidden layer k inside one face of arrangement k - 1; inside one of its faces all neurons of the
+ * layers up to k are affine, so the neurons of layer k + 1 are lines there. METHOD_FULL builds
+ * arrangements for all hidden layers; in a face of the last one every last-layer neuron is affine and
+ * keeps its sign, and its integral follows from the face's area and first moments. Otherwise (decoupled)
+ * the last hidden layer is never cut: its neurons are affine on the triangles of the arrangement before,
+ * where the integral of relu(z) has a closed form in the values at the three vertices
+ * (triangle_integral). Both give M[j], the integral of last-layer neuron j, and G = b + W M.
  *
- * Certification (integrate_check.cl). Every line must walk as a line does, the absolute areas of all triangles
- * must sum to 1, the subdivision's own error and the rounding must be small, and G finite. Points that fail are
- * appended to `retry`: in single precision the same kernel does them again in double (-D SINGLE_ARRAYS, -D LISTED),
- * then integrate_robust.
+ * Certification (integrate_check.cl). Every line must pass the checks of dcel.cl, the absolute areas of
+ * all triangles must sum to 1, the subdivision's error and the rounding must be small, and G must be
+ * finite. Points that fail are appended to `retry`: in single precision the same kernel does them again
+ * in double (-D SINGLE_ARRAYS, -D LISTED), then integrate_robust.
  *
- * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group. Network
- * parameters are row-major (n_out, n_in), with a leading points axis where -D PER_POINT_WEIGHTS_k or
- * PER_POINT_BIASES_k is 1. In Tables matrices lie transposed, outputs padded with zeros to whole vectors, so
- * that VEC neurons are one load.
+ * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group.
+ * Network parameters are row-major (n_out, n_in), with a leading points axis where -D
+ * PER_POINT_WEIGHTS_k or PER_POINT_BIASES_k is 1. In Tables matrices lie transposed, outputs padded with
+ * zeros to whole vectors, so that VEC neurons are one load.
  *
- * Work-group contract: LANES work-items own one point at a time. Groups are persistent: the leader pops a
- * run of points from the queue (counters[0]), all read it after a barrier, and all leave on the same condition; no group
- * ever waits for another. Barriers stand only under conditions that are uniform in the group.
+ * Work-group contract: LANES work-items own one point at a time. Groups are persistent: the leader pops
+ * a run of points from the queue (counters[0]), all read it after a barrier, and all leave on the same
+ * condition; no group ever waits for another. Barriers stand only under conditions that are uniform in
+ * the group.
  */
 
 /* ---- from face to face -------------------------------------------------------------------------- */
@@ -65,8 +66,8 @@ bool leader_descend(SPACE Workspace *work, const int k) {
   return true;
 }
 
-/* Goes to the next cell, depth first, and leaves its arrangement in `level`: -1 after the last cell, or where an
- * arrangement failed. */
+/* Goes to the next cell, depth first, and leaves its arrangement in `level`: -1 after the last cell, or
+ * where an arrangement failed. */
 void leader_next_cell(SPACE Workspace *work) {
   int k = LESSER(work->level, LAST_ARRANGEMENT - 1);
   for (int i = 0; i < ARRANGEMENTS; ++i) k = work->arrangement[i].failed ? -1 : k;
@@ -107,8 +108,8 @@ void next_lines(SPACE Workspace *work, __global const Tables *tables, const int 
   }
 }
 
-/* Whether no last-layer neuron has a part in G: then there is nothing to integrate. Most often the first weight
- * tells. */
+/* Whether no last-layer neuron has a part in G: then there is nothing to integrate. Most often the first
+ * weight tells. */
 bool output_is_constant(SPACE const Workspace *work, __global const Tables *tables) {
 #if WRITE_MOMENTS
   (void)work, (void)tables;
@@ -186,8 +187,8 @@ void unscale_moments(SPACE const Workspace *work, __global Tables *tables, const
 
 #endif
 
-/* G = b + W M for all channels, through the scaled output layer; its condition, and its bound where that is asked
- * for. */
+/* G = b + W M for all channels, through the scaled output layer; its condition, and its bound where that
+ * is asked for. */
 void compute_outputs(SPACE Workspace *work, __global Tables *tables, const int lane) {
   __global const number *matrix = layer_matrix(work, tables, HIDDEN);
   __global const number *bias = layer_bias(work, tables, HIDDEN);
@@ -273,9 +274,9 @@ __kernel void integrate_memory(__global int *bytes) {
 #define MATRIX_SIZE(k) ((size_t)WIDTH[k] * (size_t)WIDTH[(k) + 1])
 #define BIAS_SIZE(k) ((size_t)WIDTH[(k) + 1])
 
-/* Points [begin, end), or with -D LISTED those in list[begin, end), `run` at a time. counters: COUNT_HEAD is the
- * queue's head, COUNT_RETRY the length of `retry`, COUNT_FINISHED how many points were integrated, certified or not,
- * and one for each reason why a point is in `retry`. */
+/* Points [begin, end), or with -D LISTED those in list[begin, end), `run` at a time. counters:
+ * COUNT_HEAD is the queue's head, COUNT_RETRY the length of `retry`, COUNT_FINISHED how many points were
+ * integrated, certified or not, and one for each reason why a point is in `retry`. */
 __kernel __attribute__((reqd_work_group_size(LANES, 1, 1)))
 void integrate(const int begin, const int end, const int run, __global int *counters,
 #if LISTED

@@ -1,30 +1,32 @@
-/* What makes a point's integral trustworthy: a certificate for the subdivision, and one for the rounding.
+/* Certification of a point's integral: one test of the subdivision, and one of the rounding.
  *
- * Subdivision. relu is convex. Where a face is cut too little, a neuron that changes sign in it is taken to be
- * linear between the face's vertices (decoupled, last arrangement), or to have one sign (elsewhere). The first
- * makes the neuron's integral too large, never too small, the second too small, never too large. So the
- * difference to the closed form over the cell that was subdivided,
+ * Subdivision. relu is convex. Where a face is cut too little, a neuron that changes sign in it is taken
+ * to be linear between the face's vertices (decoupled, last arrangement), or to have one sign
+ * (elsewhere). The first makes the neuron's integral too large, never too small, the second too small,
+ * never too large. So the difference to the closed form over the cell that was subdivided,
  *
  *   D_i = | integral of neuron i over the faces - integral of neuron i over the cell |,
  *
- * is the L1 norm of the subdivision's error in this neuron, and the errors of different neurons and cells cannot
- * cancel each other. `excess` gathers D_i / terms_i, signed as the method has it, over all neurons of all
- * arrangements; it must stay within EXCESS_TOLERANCE, which is rounding. The sum of areas alone says nothing of
- * this: chords split faces by construction, so areas always add up.
+ * is the L1 norm of the subdivision's error in this neuron, and the errors of different neurons and
+ * cells cannot cancel each other. `excess` gathers D_i / terms_i, signed as the method has it, over all
+ * neurons of all arrangements; it must stay within EXCESS_TOLERANCE, which is rounding. The sum of areas
+ * alone says nothing of this: chords split faces by construction, so areas always add up.
  *
- * Rounding. terms_i is the mean over the square of the magnitudes that are added up on the way to neuron i's
- * value, as if all neurons were on (half the first weights, as u and v are one half on average). It follows that
+ * Rounding. terms_i is the mean over the square of the magnitudes that are added up on the way to neuron
+ * i's value, as if all neurons were on (half the first weights, as u and v are one half on average). It
+ * follows that
  *
  *   |G - exact| <= terms (EXCESS_TOLERANCE + ROUNDINGS * epsilon)
  *
- * to first order in epsilon, with the output channel's own terms; ROUNDINGS counts the operations on the way
- * (certificate.py). This bound is written where it is asked for. It is some hundred times too large on ordinary
- * networks, so what decides is the condition: the same sum, but with each neuron's terms only where it is on, over
- * what is left of it, Σ |w_j| M_j + |b|. It must be at most CONDITION_LIMIT, else the point is done again in double
- * precision. `open` is the share of the square where a neuron is on.
+ * to first order in epsilon, with the output channel's own terms; ROUNDINGS counts the operations on the
+ * way (certificate.py). This bound is written where it is asked for. It is some hundred times too large
+ * on ordinary networks, so a smaller number decides, the condition: the same sum, with each neuron's
+ * terms only where it is on, divided by what remains after cancellation, Σ |w_j| M_j + |b|. If it
+ * exceeds CONDITION_LIMIT, the point is done again in double precision. `open` is the share of the
+ * square where a neuron is on.
  *
- * Work-group contract: functions named leader_* for lane 0 between barriers; the others for all lanes. sum_terms and
- * sum_on_terms hold barriers, the others do not.
+ * Work-group contract: functions named leader_* for lane 0 between barriers; the others for all lanes.
+ * sum_terms and sum_on_terms hold barriers, the others do not.
  */
 
 #if DOUBLE
@@ -60,8 +62,9 @@ void sum_terms(SPACE const Workspace *work, __global Tables *tables, const int l
   }
 }
 
-/* The mean over the square of neurons' terms where they are on, in `on_terms`; of all hidden layers but the last, the
- * mean over where they are on. Where neurons of two layers are on together is not known: at most where the rarer is. */
+/* The mean over the square of neurons' terms where they are on, in `on_terms`; of all hidden layers but
+ * the last, the mean over where they are on. Where neurons of two layers are on together is not known;
+ * their share is bounded by the smaller of the two. */
 void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   for (int k = 0; k < HIDDEN; ++k) {
     const int before = k > 0 ? BIAS_OFFSET[k - 1] : 0;
@@ -88,8 +91,8 @@ void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const in
 
 #if HIDDEN > 0
 
-/* The integral of the activation of z over a triangle, divided by a third of the triangle's area; z0, z1, z2
- * are the values at its vertices.
+/* The integral of the activation of z over a triangle, divided by a third of the triangle's area; z0,
+ * z1, z2 are the values at its vertices.
  *
  * With values sorted low <= middle <= high, the integral of relu over the area / 3 is
  *   low >= 0           low + middle + high
@@ -97,10 +100,10 @@ void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const in
  *   middle <= 0 < high high * high / (high - middle) * high / (high - low)
  *   low < 0 < middle   (middle + high) * high / (high - low)
  *                      + middle * middle / (middle - low) * -low / (high - low)
- * The last is the sum of all less the negative corner, low + middle + high - low^3 / ((middle - low) (high - low)),
- * multiplied out: so all terms are positive and all ratios at most 1, and nothing cancels, however much the
- * negative value outweighs the others. TINY keeps 0 / 0 and overflow out. `open` is the share of the triangle where
- * z is positive. */
+ * The last is the sum of all less the negative corner, low + middle + high - low^3 / ((middle - low)
+ * (high - low)), multiplied out: so all terms are positive and all ratios at most 1, and nothing
+ * cancels, however much the negative value outweighs the others. TINY keeps 0 / 0 and overflow out.
+ * `open` is the share of the triangle where z is positive. */
 numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2, numbers *open) {
   const numbers lesser = LESSER(z0, z1);
   const numbers greater = GREATER(z0, z1);
@@ -125,8 +128,8 @@ numbers triangle_integral(const numbers z0, const numbers z1, const numbers z2, 
 #endif
 }
 
-/* The integrals of neurons [j, j + VEC) of layer k over the cell that arrangement k subdivides, in closed form; and
- * a third of the area where they are on. */
+/* The integrals of neurons [j, j + VEC) of layer k over the cell that arrangement k subdivides, in
+ * closed form; and a third of the area where they are on. */
 numbers cell_integral(SPACE const Workspace *work, const int k, const int j, numbers *open) {
   SPACE const Dcel *d = &work->arrangement[k];
   const numbers a = LOAD(work->lines[k].a + j);
@@ -163,7 +166,8 @@ void add_excess(__global Tables *tables, const int k, const int j, const numbers
   PUT(FMA(integral, share, LOAD(excess)), __global, excess);
 }
 
-/* Adds the closed forms over the cell of arrangement k to `excess`, or takes them off, and its part to `open`. */
+/* Adds the closed forms over the cell of arrangement k to `excess`, or takes them off, and its part to
+ * `open`. */
 void add_cell(SPACE const Workspace *work, __global Tables *tables, const int k, const number sign, const int lane) {
   for (int j = lane * VEC; j < STRIDE[k]; j += LANES * VEC) {
     numbers share;
@@ -173,8 +177,8 @@ void add_cell(SPACE const Workspace *work, __global Tables *tables, const int k,
   }
 }
 
-/* The integrals of neurons [j, j + VEC) of layer k over a face, in which each has the sign that it has at the mean of
- * the corners. */
+/* The integrals of neurons [j, j + VEC) of layer k over a face, in which each has the sign that it has
+ * at the mean of the corners. */
 numbers face_integral(SPACE const Lines *lines, const int j, const Face face) {
   const numbers a = LOAD(lines->a + j);
   const numbers b = LOAD(lines->b + j);
@@ -198,7 +202,8 @@ void subtract_face(SPACE const Workspace *work, __global Tables *tables, const i
 
 /* ---- verdict ------------------------------------------------------------------------------------- */
 
-/* The reason for which a point has to be done again: which of `counters` counts it; 0: none, it is certified. */
+/* The reason for which a point has to be done again: which of `counters` counts it; 0: none, it is
+ * certified. */
 int leader_verdict(SPACE const Workspace *work, __global const Tables *tables) {
   bool finite = true;
   for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) finite = finite && isfinite((stored)tables->output[j]);

@@ -1,14 +1,15 @@
 /* Method `decoupled`, last step: the integrals of the last hidden layer's neurons over the faces of the
- * arrangement before. The neurons are affine there but change sign; no face is cut for that: on a triangle
- * the integral of relu(z) has a closed form in the values at the vertices (triangle_integral).
+ * arrangement before. The neurons are affine there but change sign; no face is cut for that: on a
+ * triangle the integral of relu(z) has a closed form in the values at the vertices (triangle_integral).
  *
- * The arranged layer's own neurons are linear between the vertices. Their integrals, for certification, are sums
- * over vertices: a third of the areas around a vertex (`vertex_weight`) times the values there.
+ * The arranged layer's own neurons are linear between the vertices. Their integrals, for certification,
+ * are sums over vertices: a third of the areas around a vertex (`vertex_weight`) times the values there.
  *
- * Network values are taken once per vertex, faces share them. Triangles and neurons are the two loops that cost:
- * VEC neurons at a time on CPUs, a lane a neuron on GPUs.
+ * The network is evaluated once at each vertex, which faces share. Most time goes into the loop over
+ * triangles and neurons: it takes VEC neurons at a time on CPUs, one a lane on GPUs.
  *
- * Work-group contract: leader_* for lane 0 between barriers; the others for all lanes, end with a barrier.
+ * Work-group contract: leader_* for lane 0 between barriers; the others for all lanes, end with a
+ * barrier.
  */
 
 /* All faces of the last arrangement as fans of triangles; adds them to the vertices' weights. */
@@ -85,9 +86,10 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 /* Vertices that share each load of the matrix: independent sums hide the latency of FMA. */
 #define VERTEX_BLOCK (TILE < 8 ? TILE : 8)
 
-/* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. A neuron is
- * exactly 0 on its own line: what rounding leaves there would be carried by the next layer's weights into
- * faces in which the neuron is off. Their weighted sum goes to `excess`; weights are left zero for the next cell. */
+/* The activations of the layer before at the vertices [tile, tile + TILE), vertices across lanes. A
+ * neuron is set to exactly 0 on its own line: a rounding error there would reach, through the next
+ * layer's weights, faces in which the neuron is off. Their weighted sum goes to `excess`; weights are
+ * left zero for the next cell. */
 void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];

@@ -1,7 +1,8 @@
 /* Method `full`, last step: the integrals of the last hidden layer's neurons over the faces of its own
  * arrangement, where each of them is affine and keeps its sign.
  *
- * Work-group contract: leader_* for lane 0 between barriers; integrate_cell for all lanes, ends with a barrier.
+ * Work-group contract: leader_* for lane 0 between barriers; integrate_cell for all lanes, ends with a
+ * barrier.
  */
 
 /* Area, first moments and mean of a face, as a fan of triangles. */
@@ -44,8 +45,8 @@ void leader_list_faces(SPACE Workspace *work, __global Tables *tables) {
   work->listed = d->faces;
 }
 
-/* Adds the faces to the moments, neurons across lanes, and what they do wrong to `excess`: nothing where no line
- * crosses the cell. */
+/* Adds the faces to the moments, neurons across lanes, and what they do wrong to `excess`: nothing where
+ * no line crosses the cell. */
 void add_faces(SPACE const Workspace *work, __global Tables *tables, const int lane) {
   const bool cut = work->crossing[LINE_STRIDE] > 0;
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {

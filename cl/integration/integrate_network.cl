@@ -1,22 +1,23 @@
-/* What a work-group keeps while it integrates a network, and how the network's parameters get there.
+/* The memory of a work-group while it integrates a network, and how the network's parameters get there.
  *
- * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on GPUs
- * if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes share out.
- * Matrices lie transposed, [input][output], outputs padded with zeros to whole vectors, so that the weights of
- * VEC neurons are one load.
+ * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on
+ * GPUs if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes
+ * share out. Matrices are stored transposed, [input][output], outputs padded with zeros to whole
+ * vectors, so that one load reads the weights of VEC neurons.
  *
- * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2), and the
- * next layer's column by the inverse. Only exponents are added up, so nothing overflows or vanishes on the way
- * from weights of any size; relu and leaky relu commute with positive factors. Where every neuron's largest
- * parameter is moderate already, as in any ordinary network, that would change no bit of the result, and takes
- * a tenth of a small network's time: such points are not scaled.
+ * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2),
+ * and the next layer's column by the inverse. relu and leaky relu commute with positive factors, so the
+ * scales of all layers are only added up, as exponents, and no product overflows or underflows, whatever
+ * the weights. Where every neuron's largest parameter is moderate already, as in any ordinary network,
+ * scaling would change no bit of the result and take a tenth of a small network's time: such points are
+ * not scaled.
  *
- * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the sizes of
- * the arrays below; CORNER_BOUNDS, the most corners that a cell of each arrangement can have.
+ * Constants from the host: HIDDEN, ARRANGEMENTS, WIDTHS, STRIDES, MATRIX_OFFSETS, BIAS_OFFSETS and the
+ * sizes of the arrays below; CORNER_BOUNDS, the most corners that a cell of each arrangement can have.
  *
- * Work-group contract: all functions are called by all lanes; none but scale_layers holds barriers. Loops over neurons run to the
- * padded end, so that all lanes take the same number of turns: PoCL 3 miscompiles an inner loop inside an outer one
- * whose number of turns depends on the lane.
+ * Work-group contract: all functions are called by all lanes; none but scale_layers holds barriers.
+ * Loops over neurons run to the padded end, so that all lanes take the same number of turns: PoCL 3
+ * miscompiles an inner loop inside an outer one whose number of turns depends on the lane.
  */
 
 #define LAST_ARRANGEMENT (ARRANGEMENTS - 1)
@@ -90,7 +91,8 @@ __constant int MATRIX_OFFSET[] = {MATRIX_OFFSETS};
 __constant int BIAS_OFFSET[] = {BIAS_OFFSETS};
 __constant int CORNER_BOUND[] = {CORNER_BOUNDS};
 
-/* Adds a triangle of the fan round a corner: twice its area, and the sum of its sides from that corner. */
+/* Adds a triangle of the fan round a corner: twice its area, and the sum of its sides from that
+ * corner. */
 void add_to_face(Face *face, const number doubled_area, const number sum_x, const number sum_y) {
   const number area = (number)0.5f * doubled_area;
   face->area += area;

@@ -1,17 +1,18 @@
-/* The robust path: the same integrals for the few points whose arrangement was not certified in any precision.
+/* The robust path: the same integrals for the few points whose arrangement was not certified in any
+ * precision.
  *
- * No shared topology, so nothing can go wrong with it: a stack of convex polygons, each cut by one line after the
- * other (Sutherland and Hodgman 1974). Both parts of a cut share its two new corners, hence the areas always add
- * up. A line that comes closer than rounding to leaving a polygon on one side does not cut it. Everything is done in
- * double precision where the device has it (-D ROBUST_DOUBLE), else in float. Many times slower than the arrangement,
- * and its result does not depend on the method.
+ * There is no shared topology that rounding could break: only a stack of convex polygons, each cut by
+ * one line after the other (Sutherland and Hodgman 1974). Both parts of a cut have its two new corners,
+ * so areas always add up. A line that comes closer than rounding to leaving a polygon on one side does
+ * not cut it. Everything is done in double precision where the device has it (-D ROBUST_DOUBLE), else in
+ * float. Many times slower than the arrangement, and its result does not depend on the method.
  *
- * A polygon on the stack knows the layer and the neuron whose line cuts it next. Lines of a layer are valid for all
- * polygons on the stack that still need them, since the traversal is depth first. After the last hidden layer but one
- * the closed form of integrate_decoupled.cl integrates the last one.
+ * A polygon on the stack knows the layer and the neuron whose line cuts it next. Lines of a layer are
+ * valid for all polygons on the stack that still need them, since the traversal is depth first. After
+ * the last hidden layer but one the closed form of integrate_decoupled.cl integrates the last one.
  *
- * Memory: one Robust per work-item, global. Work-group contract: work-items are independent (groups of one), no
- * barriers; each pops points from `retry`.
+ * Memory: one Robust per work-item, global. Work-group contract: work-items are independent (groups of
+ * one), no barriers; each pops points from `retry`.
  */
 
 #if ROBUST_DOUBLE
@@ -84,8 +85,8 @@ void robust_load(__global Robust *r, const int k, __global const stored *weights
   }
 }
 
-/* sum + low += x * (y + y_low), to twice the precision: the rounding of product and sum goes to `low` (Ogita, Rump,
- * Oishi 2005, Accurate sum and dot product, algorithms 3.1 and 3.5). */
+/* sum + low += x * (y + y_low), to twice the precision: the rounding of product and sum goes to `low`
+ * (Ogita, Rump, Oishi 2005, Accurate sum and dot product, algorithms 3.1 and 3.5). */
 void add_product(precise *sum, precise *low, const precise x, const precise y, const precise y_low) {
   const precise product = x * y;
   const precise total = *sum + product;
@@ -94,8 +95,9 @@ void add_product(precise *sum, precise *low, const precise x, const precise y, c
   *sum = total;
 }
 
-/* The affine functions of layer k inside the polygon in hand, where those of layer k - 1 keep their signs. Where
- * hidden neurons cancel, little is left of large terms, so that sums are carried to twice the precision. */
+/* The affine functions of layer k inside the polygon in hand, where those of layer k - 1 keep their
+ * signs. Where hidden neurons cancel, little is left of large terms, so that sums are carried to twice
+ * the precision. */
 void robust_lines(__global Robust *r, const int k, const int corners) {
   const int outputs = ROBUST_WIDTHS[k + 1];
   const int inputs = ROBUST_WIDTHS[k];
@@ -130,8 +132,9 @@ void robust_lines(__global Robust *r, const int k, const int corners) {
   }
 }
 
-/* Cuts the polygon in hand by the line of neuron i of layer k. The positive part stays in hand, the negative
- * one goes to the top of the stack, to go on with the next neuron. Returns the corners in hand. */
+/* Cuts the polygon in hand by the line of neuron i of layer k. The positive part stays in hand, the
+ * negative one goes to the top of the stack, to go on with the next neuron. Returns the corners in
+ * hand. */
 int robust_cut(__global Robust *r, int *height, const int k, const int i, const int corners) {
   const Line line = r->line[k * ROBUST_WIDTH + i];
   const precise a = line.value[0];
@@ -188,7 +191,8 @@ int robust_cut(__global Robust *r, int *height, const int k, const int i, const 
   return above;
 }
 
-/* The integral of relu(z) over a triangle, divided by a third of its area, from the values at its corners. */
+/* The integral of relu(z) over a triangle, divided by a third of its area, from the values at its
+ * corners. */
 precise robust_relu_integral(const precise p, const precise q, const precise s) {
   const precise z0 = fmin(fmin(p, q), s);
   const precise z2 = fmax(fmax(p, q), s);
@@ -276,7 +280,8 @@ void robust_write_moments(__global const Robust *r, __global stored *moments) {
 #endif
 
 #if WRITE_BOUND
-/* The rounding bound of integrate_check.cl, in this path's precision. There is no subdivision to be wrong. */
+/* The rounding bound of integrate_check.cl, in this path's precision. There is no subdivision to be
+ * wrong. */
 void robust_write_bound(__global Robust *r, __global const stored *G, __global stored *bound) {
   for (int k = 0; k <= HIDDEN; ++k) {
     const int inputs = ROBUST_WIDTHS[k];
@@ -301,7 +306,8 @@ void robust_write_bound(__global Robust *r, __global const stored *G, __global s
               weights_##k + PER_POINT_WEIGHTS_##k * p * (size_t)(ROBUST_WIDTHS[k] * ROBUST_WIDTHS[(k) + 1]), \
               biases_##k + PER_POINT_BIASES_##k * p * (size_t)ROBUST_WIDTHS[(k) + 1]);
 
-/* The points list[0, count). counters as for integrate.cl; points that fail here too are appended to `failed`. */
+/* The points list[0, count). counters as for integrate.cl; points that fail here too are appended to
+ * `failed`. */
 __kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void integrate_robust(const int count, __global int *counters, __global const int *list, __global int *failed,
                       __global stored *G,
@@ -311,9 +317,9 @@ void integrate_robust(const int count, __global int *counters, __global const in
 #if WRITE_BOUND
                       __global stored *bounds,
 #endif
-                      __global Robust *all,
+                      __global Robust *all_work,
                       NETWORK_ARGUMENTS) {
-  __global Robust *r = all + get_group_id(0);
+  __global Robust *r = all_work + get_group_id(0);
   for (int next = atomic_inc(&counters[COUNT_HEAD]); next < count; next = atomic_inc(&counters[COUNT_HEAD])) {
     const int point = list[next];
     const size_t p = (size_t)point;

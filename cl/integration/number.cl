@@ -1,9 +1,10 @@
 /* Numbers of the geometric integration: float, or double with -D DOUBLE=1; one (`number`) or VEC of them
- * (`numbers`), their exponents, sums that keep their rounding errors, and the
- * arguments of a network of HIDDEN hidden layers. Arrays hold `stored` numbers: floats where -D SINGLE_ARRAYS
- * has points of single precision computed in double.
+ * (`numbers`), their exponents, sums that keep their rounding errors, and the arguments of a network of
+ * HIDDEN hidden layers. Arrays hold `stored` numbers: floats where -D SINGLE_ARRAYS has points of single
+ * precision computed in double.
  *
- * BARRIER separates what lane 0 wrote from what all lanes read; with one lane there is nothing to wait for.
+ * BARRIER separates what lane 0 wrote from what all lanes read; with one lane there is nothing to wait
+ * for.
  *
  * Work-group contract: none; functions of private values.
  */
@@ -49,8 +50,8 @@ typedef JOIN(EXPONENT_NAME, VEC) exponents;
 #define AS_NUMBERS(x) JOIN(JOIN(as_, NUMBER_NAME), VEC)(x)
 #endif
 
-/* PoCL 3 makes four stores of vstore16, and who loads the whole vector soon after has to wait for the last:
- * PUT is one store to `memory`, and needs no more alignment than vstore does. */
+/* PoCL 3 makes four stores of vstore16, and a load of the whole vector soon after waits for the last of
+ * them. PUT is one store to `memory`, with the same alignment as vstore. */
 typedef numbers loose_numbers __attribute__((aligned(sizeof(number))));
 #define PUT(value, memory, pointer) (*(memory loose_numbers *)(pointer) = (value))
 
@@ -81,7 +82,8 @@ exponents exponent_of(const numbers x) {
   return ((AS_EXPONENTS(x) >> MANTISSA_BITS) & EXPONENT_MASK) - EXPONENT_BIAS;
 }
 
-/* Whether a comparison of `numbers` holds for one of them; halves are joined, as any() may test one by one. */
+/* Whether a comparison of `numbers` holds for one of them; halves are joined, as any() may test one by
+ * one. */
 bool any_of(const exponents condition) {
 #if VEC == 16
   const JOIN(EXPONENT_NAME, 8) c8 = condition.lo | condition.hi;
@@ -101,7 +103,8 @@ bool any_of(const exponents condition) {
 #endif
 }
 
-/* Whether all x are 0 or moderate: no product or sum of a few numbers of that size overflows or vanishes. */
+/* Whether all x are 0 or moderate: no product or sum of a few numbers of that size overflows or
+ * vanishes. */
 bool all_moderate(const numbers x) {
   const exponents e = exponent_of(x);
   return !any_of((x != 0) & ((e < -MODERATE_EXPONENT) | (e >= MODERATE_EXPONENT)));

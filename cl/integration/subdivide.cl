@@ -1,12 +1,14 @@
-/* The complete subdivision of one network: every cell of the last hidden layer's arrangement, written out.
+/* The complete subdivision of one network: every cell of the last hidden layer's arrangement, written
+ * out.
  *
- * The traversal is that of method `full` in integrate.cl, which integrates on the way: so the subdivision certifies
- * itself as an integral does. For each leaf cell: its corners, for each of its sides the layer whose line it lies
- * on (0: border of the square), its area and the affine function of every output channel, for which the output layer
- * is treated as one more layer of lines.
+ * The traversal is that of method `full` in integrate.cl, which integrates on the way: so the
+ * subdivision certifies itself as an integral does. For each leaf cell: its corners, for each of its
+ * sides the layer whose line it lies on (0: border of the square), its area and the affine function of
+ * every output channel, for which the output layer is treated as one more layer of lines.
  *
- * What does not fit the capacities is counted but not written, so that a first launch with none sizes the arrays.
- * counts: [0] cells, [1] corners, [2] why the subdivision is not to be trusted (leader_verdict; 0: it is).
+ * What does not fit the capacities is counted but not written, so that a first launch with none sizes
+ * the arrays. counts: [0] cells, [1] corners, [2] why the subdivision is not to be trusted
+ * (leader_verdict; 0: it is).
  *
  * Work-group contract: one group of one work-item; no barriers.
  */

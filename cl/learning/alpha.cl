@@ -1,13 +1,14 @@
-/* The control coefficient alpha: how f and g vary together over the training samples of each column.
+/* The control coefficient alpha: covariance of f and g over the training samples of each column.
  *
  * Memory layout: samples as in train.cl: number s of column i is u, v [s * stride + i], and f in plane
- * s * CHANNELS + c of `all_targets`. `moments` has a plane of `stride` floats for each channel's sum over the
- * column's samples of (f - mean f)(g - mean g), then one for each channel's sum of (g - mean g)^2.
+ * s * CHANNELS + c of `all_targets`. `moments` has a plane of `stride` floats for each channel's sum
+ * over the column's samples of (f - mean f)(g - mean g), then one for each channel's sum of (g - mean
+ * g)^2.
  *
  * Joined after mlp.cl.
  *
- * Work-group contract: one-dimensional, any size, no local memory, no barriers. column_moments: a work-item a
- * column. scale_outputs: a work-item a point.
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers. column_moments: a
+ * work-item a column. scale_outputs: a work-item a point.
  */
 
 real load_samples(global const float *restrict rows, const uint first, const uint samples, const ulong stride) {
@@ -23,7 +24,7 @@ kernel void column_moments(const uint count, const uint stride, const uint sampl
   const uint column = (uint)get_global_id(0);
   if (column >= count) return;
   const PointNetwork network = NETWORK_OF(order[column]);
-  /* Sums are about values near the means, so that little is lost in the differences. */
+  /* Sums are of differences to values near the means, so that little is lost to rounding. */
   real f_shift[CHANNELS], g_shift[CHANNELS], f_sum[CHANNELS], g_sum[CHANNELS], product[CHANNELS], square[CHANNELS];
   for (uint c = 0; c < CHANNELS; ++c)
     f_sum[c] = g_sum[c] = product[c] = square[c] = f_shift[c] = g_shift[c] = (real)0.0f;

@@ -8,7 +8,8 @@
  * touches one cell's row v_k only, so a sample costs about 2 DENSITY_HIDDEN multiply-adds and a column
  * FEATURES * DENSITY_HIDDEN.
  *
- * Parameters: W as FEATURES rows of DENSITY_HIDDEN floats, then b, then CELLS rows v_k of DENSITY_HIDDEN, then c.
+ * Parameters, a record of `DensitySettings.parameters`: W as FEATURES rows of DENSITY_HIDDEN floats, then b, then
+ * CELLS rows v_k of DENSITY_HIDDEN, then c.
  * Samples as in train.cl: sample s of column i is element s * stride + i. `features` is structure of arrays.
  *
  * Joined after mlp.cl for FITTING, else after warp.cl.
@@ -24,9 +25,6 @@
 #define UNIT_BLOCKS (DENSITY_HIDDEN / VEC)
 /* Hidden units of one work-item, in blocks of VEC. */
 #define OWN_BLOCKS ((UNIT_BLOCKS + LANES - 1) / LANES)
-#define AT_UNIT_BIAS (FEATURES * DENSITY_HIDDEN)
-#define AT_ROWS (AT_UNIT_BIAS + DENSITY_HIDDEN)
-#define AT_CELL_BIAS (AT_ROWS + CELLS * DENSITY_HIDDEN)
 
 int cell_of(const float u, const float v) {
   const int strip = clamp((int)(u * (float)DENSITY_BINS), 0, DENSITY_BINS - 1);
@@ -101,9 +99,9 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
   const uint lane = (uint)get_local_id(0);
   const uint group = (uint)get_group_id(0);
   const uint groups = (uint)get_num_groups(0);
-  global float *restrict own = partial + group * (ulong)DENSITY_PARAMETERS;
+  global float *restrict own = partial + group * (ulong)MAGNITUDE_FLOATS;
   const float share = 1.0f / (float)(count * DENSITY_SAMPLES);
-  for (uint p = lane * VEC; p < DENSITY_PARAMETERS; p += LANES * VEC) STORE((real)0.0f, own + p);
+  for (uint p = lane * VEC; p < MAGNITUDE_FLOATS; p += LANES * VEC) STORE((real)0.0f, own + p);
   barrier(CLK_GLOBAL_MEM_FENCE);
 
   for (uint column = first + group; column < first + count; column += groups) {
@@ -111,10 +109,10 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
     real delta_h[OWN_BLOCKS];
     for (uint k = 0; k < OWN_BLOCKS; ++k) {
       const uint at = min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC;
-      real sum = LOAD(parameters + AT_UNIT_BIAS + at);
+      real sum = LOAD(parameters + MAGNITUDE_UNIT_BIAS + at);
       for (uint f = 0; f < FEATURES; ++f) {
         const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
-        sum = FMA(LOAD(parameters + f * DENSITY_HIDDEN + at), (real)x, sum);
+        sum = FMA(LOAD(parameters + MAGNITUDE_UNITS + f * DENSITY_HIDDEN + at), (real)x, sum);
       }
       /* Lanes beyond the last block take part in the sums with zeros. */
       h[k] = lane + k * LANES < UNIT_BLOCKS ? max(sum, (real)0.0f) : (real)0.0f;
@@ -123,24 +121,24 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
     for (uint s = 0; s < DENSITY_SAMPLES; ++s) {
       const ulong row = (sample + s) * (ulong)stride + column;
       const int cell = cell_of(all_u[row], all_v[row]);
-      global const float *restrict weights = parameters + AT_ROWS + cell * DENSITY_HIDDEN;
+      global const float *restrict weights = parameters + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN;
       real product = (real)0.0f;
       for (uint k = 0; k < OWN_BLOCKS; ++k)
         product = FMA(LOAD(weights + min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC), h[k], product);
-      const float z = sum_group(sum_lanes(product), shared) + parameters[AT_CELL_BIAS + cell];
+      const float z = sum_group(sum_lanes(product), shared) + parameters[MAGNITUDE_CELL_BIAS + cell];
       const float e = exp(clamp(z, -LOG_LIMIT, LOG_LIMIT));
-      /* Beyond the limit only what leads back counts. */
+      /* Beyond the limit only gradients that lead back are used. */
       const float slope = e - squared[row] * unit_square / e;
       const float delta = fabs(z) < LOG_LIMIT || z * slope > 0.0f ? slope * share : 0.0f;
       for (uint k = 0; k < OWN_BLOCKS; ++k) {
         const uint block = lane + k * LANES;
         if (block < UNIT_BLOCKS) {
-          global float *restrict gradient = own + AT_ROWS + cell * DENSITY_HIDDEN + block * VEC;
+          global float *restrict gradient = own + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN + block * VEC;
           STORE(FMA((real)delta, h[k], LOAD(gradient)), gradient);
           delta_h[k] = FMA((real)delta, LOAD(weights + block * VEC), delta_h[k]);
         }
       }
-      if (lane == 0) own[AT_CELL_BIAS + cell] += delta;
+      if (lane == 0) own[MAGNITUDE_CELL_BIAS + cell] += delta;
     }
     for (uint k = 0; k < OWN_BLOCKS; ++k) {
       const uint block = lane + k * LANES;
@@ -148,10 +146,10 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients
         const real delta = SELECT((real)0.0f, delta_h[k], h[k] > 0.0f);
         for (uint f = 0; f < FEATURES; ++f) {
           const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
-          global float *restrict gradient = own + f * DENSITY_HIDDEN + block * VEC;
+          global float *restrict gradient = own + MAGNITUDE_UNITS + f * DENSITY_HIDDEN + block * VEC;
           STORE(FMA((real)x, delta, LOAD(gradient)), gradient);
         }
-        global float *restrict gradient = own + AT_UNIT_BIAS + block * VEC;
+        global float *restrict gradient = own + MAGNITUDE_UNIT_BIAS + block * VEC;
         STORE(LOAD(gradient) + delta, gradient);
       }
     }
@@ -167,9 +165,9 @@ kernel void density_adam(const uint groups, const float rate, const float correc
                          global float *restrict parameters, global float *restrict moment1,
                          global float *restrict moment2) {
   const uint p = (uint)get_global_id(0) * VEC;
-  if (p >= DENSITY_PARAMETERS) return;
+  if (p >= MAGNITUDE_FLOATS) return;
   real gradient = (real)0.0f;
-  for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)DENSITY_PARAMETERS + p);
+  for (uint g = 0; g < groups; ++g) gradient += LOAD(partial + g * (ulong)MAGNITUDE_FLOATS + p);
   const real m1 = FMA((real)ADAM_BETA1, LOAD(moment1 + p), (1.0f - ADAM_BETA1) * gradient + TINY);
   const real m2 = FMA((real)ADAM_BETA2, LOAD(moment2 + p), (1.0f - ADAM_BETA2) * gradient * gradient + TINY);
   STORE(m1, moment1 + p);
@@ -184,7 +182,7 @@ kernel void density_adam(const uint groups, const float rate, const float correc
 void store_row(const real weight[DENSITY_BINS], const real total, const uint valid, global uint *restrict row) {
   const real units = (float)EDGE_UNITS / total;
   real sum = (real)0.0f;
-  bits words[2] = {(bits)0u, (bits)0u};
+  bits words[DENSITY_ROW] = {(bits)0u, (bits)0u};
   whole before = (whole)0;
   for (int edge = 1; edge < DENSITY_BINS; ++edge) {
     sum += weight[edge - 1];
@@ -192,7 +190,7 @@ void store_row(const real weight[DENSITY_BINS], const real total, const uint val
     before = clamp(nearest, before + 1, (whole)(EDGE_UNITS - DENSITY_BINS + edge));
     words[(edge - 1) / 4] |= TO_BITS(before) << (uint)(8 * ((edge - 1) % 4));
   }
-  for (uint k = 0; k < 2; ++k) {
+  for (uint k = 0; k < DENSITY_ROW; ++k) {
     uint word[VEC];
     STORE(words[k], word);
     for (uint lane = 0; lane < valid; ++lane) row[lane * DENSITY_WORDS + k] = word[lane];
@@ -221,10 +219,11 @@ kernel void density_tables(const uint count, const uint stride, const uint first
   for (uint j = 0; j < DENSITY_HIDDEN; j += SUMS) {
     real sum[SUMS];
 #pragma unroll
-    for (uint k = 0; k < SUMS; ++k) sum[k] = (real)parameters[AT_UNIT_BIAS + j + k];
+    for (uint k = 0; k < SUMS; ++k) sum[k] = (real)parameters[MAGNITUDE_UNIT_BIAS + j + k];
     for (uint f = 0; f < FEATURES; ++f) {
 #pragma unroll
-      for (uint k = 0; k < SUMS; ++k) sum[k] = FMA((real)parameters[f * DENSITY_HIDDEN + j + k], x[f], sum[k]);
+      for (uint k = 0; k < SUMS; ++k)
+        sum[k] = FMA((real)parameters[MAGNITUDE_UNITS + f * DENSITY_HIDDEN + j + k], x[f], sum[k]);
     }
 #pragma unroll
     for (uint k = 0; k < SUMS; ++k) h[j + k] = max(sum[k], (real)0.0f);
@@ -233,10 +232,10 @@ kernel void density_tables(const uint count, const uint stride, const uint first
   real e[CELLS];
   real total = (real)0.0f;
   for (uint cell = 0; cell < CELLS; cell += SUMS) {
-    global const float *restrict weights = parameters + AT_ROWS + cell * DENSITY_HIDDEN;
+    global const float *restrict weights = parameters + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN;
     real z[SUMS];
 #pragma unroll
-    for (uint k = 0; k < SUMS; ++k) z[k] = (real)parameters[AT_CELL_BIAS + cell + k];
+    for (uint k = 0; k < SUMS; ++k) z[k] = (real)parameters[MAGNITUDE_CELL_BIAS + cell + k];
     for (uint j = 0; j < DENSITY_HIDDEN; ++j) {
 #pragma unroll
       for (uint k = 0; k < SUMS; ++k) z[k] = FMA((real)weights[k * DENSITY_HIDDEN + j], h[j], z[k]);
@@ -263,9 +262,9 @@ kernel void density_tables(const uint count, const uint stride, const uint first
       cells[bin] += uniform_part;
       strips[strip] += cells[bin];
     }
-    store_row(cells, strips[strip], valid, record + 2 * (strip + 1));
+    store_row(cells, strips[strip], valid, record + DENSITY_CELLS + DENSITY_ROW * strip);
     all += strips[strip];
   }
-  store_row(strips, all, valid, record);
+  store_row(strips, all, valid, record + DENSITY_STRIPS);
 }
 #endif

@@ -3,35 +3,35 @@
  * A minibatch is a run of `count` columns of the shuffled training points with SAMPLES_A_STEP samples of
  * each, number `sample` on; sample s of column i is u, v [s * stride + i] and f in plane s * CHANNELS + c
  * of `all_targets`. These three stand in the step's row of `plan`, PLAN_WORDS words of which the global offset
- * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied by;
- * the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
+ * tells the number (Kernel.repeat). `factor` (a plane a channel, by column) is what the network's output is multiplied
+ * by; the loss is the mean over samples and channels of weight^2 (g - f / factor)^2, where weight, also by
  * column and channel, is the factor over its mean to a power that the host chose.
  *
  * Memory layout: `parameters` is the network's vector with every row padded to whole vectors: HIDDEN2 rows of
  * W2_STRIDE floats, HEAD_ROWS rows of FEATURE_FLOATS (feature FEATURES is the constant 1), BASE_ROWS
- * floats; the loss rides at AT_LOSS in the padding, PARTIAL_FLOATS in all. `table` holds only the grid's entries
- * that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
+ * floats; the loss rides at PARAMETER_LOSS in the padding, PARAMETER_FLOATS in all (padded.py). `table` holds only the
+ * grid's entries that training points touch, ENTRY_FLOATS each (adam.cl), the values first. `corner` names the entries around
  * a column, column after column, level after level.
  *
- * A group takes a tile of TILE columns at a time. Rows of theta (what the heads say for a column: all weights but
- * W2), samples forward and backward, and rows of the gradient by theta stay in local memory, row after row
- * of TILE floats. Heads are paid once a column, not once a sample. Each work-item works on VEC columns; after a
- * barrier each computes some of the parameters' gradients as sums over the tile. Every group owns one row of
- * `partial`, and adam.cl adds the rows in order: no atomics, the same bits every time. The first IDLE_GROUPS
- * groups do nothing.
+ * A group takes a tile of TILE columns at a time. Local memory holds, as rows of TILE floats: theta (a
+ * column's weights but W2, which the heads give), the activations of samples forward and backward, and
+ * the gradient by theta. Heads are evaluated once a column, not once a sample. Each work-item works on
+ * VEC columns; after a barrier each computes some of the parameters' gradients as sums over the tile.
+ * Every group owns one row of `partial`, and adam.cl adds the rows in order: no atomics, the same bits
+ * every time. The first IDLE_GROUPS groups do nothing (train.py says why).
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
- * barriers between the phases of the tile loop, whose bounds are the same for the whole group. store_samples:
- * any size, no local memory, no barriers.
+ * barriers between the phases of the tile loop, whose bounds are the same for the whole group.
+ * store_samples: any size, no local memory, no barriers.
  */
 
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
 #define TILE_BLOCKS (TILE / VEC)
 #define FEATURE_BLOCKS (FEATURE_FLOATS / VEC)
-/* Rows of theta that one pass over the features computes, so that a loaded feature serves several. */
+/* Rows of theta that are computed together, so that one load of a feature serves all of them. */
 #define ROW_BLOCK (HEAD_ROWS < 8 ? 1 : 8)
-/* Rows of theta and vectors of features that one pass over a tile's columns computes gradients of: as many sums
- * as registers hold, from few loads. On a GPU the work-items share the vectors. */
+/* Rows of theta and vectors of features whose gradients are computed together over a tile's columns: as
+ * many sums as registers hold, from few loads. On a GPU the work-items share the vectors. */
 #if LANES > 1
 #define GRADIENT_ROWS ROW_BLOCK
 #define BLOCKS_AT_ONCE 1
@@ -49,16 +49,16 @@
 #define BLOCKS_AT_ONCE 1
 #endif
 #endif
-/* Features that one pass over the rows of theta computes gradients of. */
+/* Features whose gradients are computed together over the rows of theta. */
 #define GRID_BLOCK (GRID_ROWS < 8 ? GRID_ROWS : 8)
 
 /* theta rows of VEC columns: heads times features, and plain bases. */
 void heads_forward(global const float *restrict parameters, local const real *restrict features,
                    local real *restrict theta) {
   for (int block = 0; block < HEAD_ROWS; block += ROW_BLOCK) {
-    /* The last block begins earlier, where it would be a part only. */
+    /* If the last block would be a part of one, it begins earlier. */
     const int row = min(block, HEAD_ROWS - ROW_BLOCK);
-    global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS;
+    global const float *restrict head = parameters + PARAMETER_HEADS + row * FEATURE_FLOATS;
     real sum[ROW_BLOCK];
 #pragma unroll
     for (int r = 0; r < ROW_BLOCK; ++r) sum[r] = (real)head[r * FEATURE_FLOATS + FEATURES];
@@ -71,7 +71,7 @@ void heads_forward(global const float *restrict parameters, local const real *re
     for (int r = 0; r < ROW_BLOCK; ++r) theta[(row + r) * TILE_BLOCKS] = sum[r];
   }
   for (int row = HEAD_ROWS; row < THETA_ROWS; ++row)
-    theta[row * TILE_BLOCKS] = (real)parameters[AT_BASES + row - HEAD_ROWS];
+    theta[row * TILE_BLOCKS] = (real)parameters[PARAMETER_BASES + row - HEAD_ROWS];
 }
 
 /* Gradients by the grid's feature rows of VEC columns, times `scale`. */
@@ -83,7 +83,7 @@ void heads_backward(global const float *restrict parameters, local const real *r
 #pragma unroll
     for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = (real)0.0f;
     for (int row = 0; row < HEAD_ROWS; ++row) {
-      global const float *restrict head = parameters + AT_HEADS + row * FEATURE_FLOATS + f;
+      global const float *restrict head = parameters + PARAMETER_HEADS + row * FEATURE_FLOATS + f;
       const real delta = delta_theta[row * TILE_BLOCKS];
 #pragma unroll
       for (int k = 0; k < GRID_BLOCK; ++k) sum[k] = FMA((real)head[k], delta, sum[k]);
@@ -94,7 +94,8 @@ void heads_backward(global const float *restrict parameters, local const real *r
 }
 
 /* One sample of VEC columns, forward and backward: adds to delta_theta, leaves h1 and delta2 for W2's
- * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the sample. */
+ * gradient, returns the loss. `theta`, `delta_theta` point at the columns, `h1`, `delta2` at the
+ * sample. */
 real sample_gradient(const real u, const real v, const real target[CHANNELS], const real weight[CHANNELS],
                      global const float *restrict w2, local const real *restrict theta,
                      local real *restrict delta_theta, local real *restrict h1_rows,
@@ -173,8 +174,8 @@ real load_columns(global const float *restrict row, const uint column, const uin
   return LOAD(padded);
 }
 
-/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the present
- * table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
+/* Features of the columns column .. column + VEC (the last before `end` repeated): grid rows from the
+ * present table, the rest as encoded once. As rows of columns, and transposed as columns of features. */
 void load_features(const uint column, const uint end, const uint stride, global const float *restrict unit,
                    global const float *restrict fixed_rows, global const uint *restrict corner,
                    global const float *restrict table, local float *restrict rows,
@@ -265,7 +266,7 @@ void heads_gradient(const int lane, const int is_first, const float scale,
         for (int k = 0; k < BLOCKS_AT_ONCE; ++k) sum[r][k] = FMA(delta, feature[k], sum[r][k]);
       }
     }
-    global float *restrict head = own + AT_HEADS + row * FEATURE_FLOATS + block * VEC;
+    global float *restrict head = own + PARAMETER_HEADS + row * FEATURE_FLOATS + block * VEC;
 #pragma unroll
     for (int r = 0; r < GRADIENT_ROWS; ++r) {
       if (row + r < HEAD_ROWS) {
@@ -284,13 +285,13 @@ void base_gradient(const int lane, const int is_first, const float scale,
   for (int row = HEAD_ROWS + lane; row < THETA_ROWS; row += LANES) {
     real sum = (real)0.0f;
     for (int t = 0; t < TILE_BLOCKS; ++t) sum += delta_theta[row * TILE_BLOCKS + t];
-    global float *restrict base = own + AT_BASES + row - HEAD_ROWS;
+    global float *restrict base = own + PARAMETER_BASES + row - HEAD_ROWS;
     *base = (is_first ? 0.0f : *base) + scale * sum_lanes(sum);
   }
   if (lane == 0) {
     real sum = (real)0.0f;
     for (int t = 0; t < TILE_BLOCKS; ++t) sum += losses[t];
-    own[AT_LOSS] = (is_first ? 0.0f : own[AT_LOSS]) + scale * sum_lanes(sum);
+    own[PARAMETER_LOSS] = (is_first ? 0.0f : own[PARAMETER_LOSS]) + scale * sum_lanes(sum);
   }
 }
 
@@ -316,7 +317,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
   const uint sample = step[PLAN_SAMPLE], first = step[PLAN_FIRST], count = step[PLAN_COUNT], end = first + count;
   const uint tiles = (count + TILE - 1) / TILE;
   const float per_sample = 1.0f / ((float)count * SAMPLES_A_STEP * CHANNELS);
-  global float *restrict own = partial + group * (ulong)PARTIAL_FLOATS;
+  global float *restrict own = partial + group * (ulong)PARAMETER_FLOATS;
 
   for (uint tile = group; tile < tiles; tile += groups) {
     /* A parameter is summed by the same work-item in every tile, so the first tile can simply set it. */

@@ -6,9 +6,9 @@
  *
  *   (e0 + e1 + e2) / 12 + 3/4 e(m)          exact for quadratic functions
  *
- * and the corners' values are scaled to it. That is a choice of density; the density itself is then linear, its
- * integrals exact. With a share of UNIFORM_SHARE of it uniform, the values at the corners are
- * scale * e + UNIFORM_SHARE.
+ * and the corners' values are scaled to it. This rule only decides which density is used; the density is
+ * then linear, and its integrals are exact. With a share of UNIFORM_SHARE of it uniform, the values at
+ * the corners are scale * e + UNIFORM_SHARE.
  *
  * Triangles are listed along a Hilbert curve through their centroids, by a counting sort over BUCKETS cells of it.
  *
@@ -93,7 +93,8 @@ void load_point(global Workspace *work, global const float *w1, global const flo
   }
   for (int k = lane; k < CELLS; k += LANES) {
     const int strip = k / DENSITY_BINS;
-    const float probability = bin_probability(table, strip) * bin_probability(table + 2 * strip + 2, k % DENSITY_BINS);
+    const float probability = bin_probability(table + DENSITY_STRIPS, strip) *
+                              bin_probability(table + DENSITY_CELLS + DENSITY_ROW * strip, k % DENSITY_BINS);
     work->cell[k] = fmax(probability * (float)CELLS - UNIFORM_SHARE, 0.0f);
   }
 }
@@ -258,7 +259,7 @@ kernel void triangulate_memory(global int *bytes) { bytes[0] = (int)sizeof(Works
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     const uint first_point, const uint count, global const uint *restrict order, global const float *restrict w1,
     global const float *restrict b1, global const uint *restrict tables, global Workspace *all_work,
-    global float *restrict records, volatile global int *failed) {
+    global uint *restrict records, volatile global int *failed) {
   const int lane = (int)get_local_id(0);
   global Workspace *work = all_work + get_group_id(0);
   clear_padding(work, lane);
@@ -276,8 +277,9 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
       BARRIER();
       triangulate_faces(work, lane);
     }
-    if (lane == 0) leader_write_triangles(work, records + i * (ulong)RECORD_WORDS);
+    global float *record = (global float *)(records + i * (ulong)RECORD_WORDS);
+    if (lane == 0) leader_write_triangles(work, record);
     BARRIER();
-    write_vertices(work, records + i * (ulong)RECORD_WORDS, lane);
+    write_vertices(work, record, lane);
   }
 }

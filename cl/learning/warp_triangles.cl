@@ -1,23 +1,27 @@
 /* Points of the unit square warped to a density that is linear on each triangle of a triangulation.
  *
- * A record (triangulate.cl) lists triangles so that neighbours in the list are neighbours in the square, with
- * cumulative probabilities; u picks the triangle, and the place of u between its two probabilities and v pick the
- * point in it. So an interval of u is a patch of the square, and points that are well spread in u are well spread
- * over the patches. How they lie across patches is not kept, as warp.cl keeps it.
+ * A record (triangulate.cl) lists triangles so that neighbours in the list are neighbours in the square,
+ * with cumulative probabilities; u picks the triangle, and the place of u between its two probabilities
+ * and v pick the point in it. So an interval of u is a patch of the square, and points that are well
+ * spread in u are well spread over the patches. How they lie across patches is not kept, as warp.cl
+ * keeps it.
  *
- * Record, 32-bit words: RECORD_COUNT (uint, triangles), RECORD_CUMULATIVE (float, one more than triangles, from
- * 0 to 1), RECORD_CORNERS (uint, three vertices of VERTEX_BITS each), RECORD_SCALES (float, one a triangle),
- * RECORD_X, RECORD_Y and RECORD_VALUES (float, one a vertex). On triangle t, of area A and probability P, the density
- * is proportional to the linear function that is c = scale * value + UNIFORM_SHARE at the corners:
+ * Record, 32-bit words: RECORD_COUNT (uint, triangles), RECORD_CUMULATIVE (float, one more than
+ * triangles, from 0 to 1), RECORD_CORNERS (uint, three vertices of VERTEX_BITS each), RECORD_SCALES
+ * (float, one a triangle), RECORD_X, RECORD_Y and RECORD_VALUES (float, one a vertex). On triangle t, of
+ * area A and probability P, the density is proportional to the linear function that is
+ * c = scale * value + UNIFORM_SHARE at the corners:
  *
  *   p(x) = P / A * c(x) / ((c0 + c1 + c2) / 3)
  *
- * Its inverse: r runs from corner 0 to the opposite side and has the distribution function 3 k r^2 + (1 - 3 k) r^3
- * with k = c0 / (c0 + c1 + c2), q runs along that side with a density that is linear from its value on
- * one edge to that on the other. Corner 0 has the least value, so k <= 1/3 and the cubic is convex: Newton's
- * method from above falls to the root, and INVERSION_STEPS leave rounding only.
+ * Its inverse: r runs from corner 0 to the opposite side and has the distribution function 3 k
+ * r^2 + (1 - 3 k) r^3 with k = c0 / (c0 + c1 + c2), q runs along that side with a density that is linear
+ * from its value on one edge to that on the other. Corner 0 has the least value, so k <= 1/3 and the
+ * cubic is convex: Newton's method from above falls to the root, and INVERSION_STEPS leave rounding
+ * only.
  *
- * Probabilities are differences of stored numbers, so the density integrates to one whatever was rounded.
+ * Probabilities are differences of stored numbers, so the density integrates to one whatever was
+ * rounded.
  *
  * Work-group contract: none; pure functions of private values, VEC samples at a time.
  */

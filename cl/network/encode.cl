@@ -1,15 +1,15 @@
 /* phi -> features: a hash grid over position, one-blobs over directions, identities.
  *
- * Work-items encode VEC points at a time. Points are taken in any order: `order[i]` is the shading point of
- * feature column i (training shuffles points into minibatches). Features are structure of arrays, feature
- * f of column i at features[f * stride + i]; the grid's GRID_ROWS rows come first, then the inputs with
- * USE_* set, in the order below. Columns from `count` to `stride` repeat the last one.
+ * Work-items encode VEC points at a time. Points are taken in any order: `order[i]` is the shading point
+ * of feature column i (training shuffles points into minibatches). Features are structure of arrays,
+ * feature f of column i at features[f * stride + i]; the grid's GRID_ROWS rows come first, then the
+ * inputs with USE_* set, in the order below. Columns from `count` to `stride` repeat the last one.
  *
  * Hash grid (Mueller et al. 2022): level l has GRID_BASE * 2^l cells an axis over the scene's bounding
  * cube; a level whose corners fit into GRID_ENTRIES is stored densely, else hashed. Entry e of level l,
- * feature f, at table[(l * GRID_ENTRIES + e) * entry_floats + f], where entry_floats is GRID_FEATURES or,
- * while training keeps more beside the values, larger. `unit` holds positions relative to the cube, three
- * rows of `stride`: finding the corners again is cheaper than reading them.
+ * feature f, at table[(l * GRID_ENTRIES + e) * entry_floats + f], where entry_floats is GRID_FEATURES
+ * or, while training keeps more beside the values, larger. `unit` holds positions relative to the cube,
+ * three rows of `stride`: finding the corners again is cheaper than reading them.
  *
  * One-blob (Mueller et al. 2019): BLOB_BINS Gaussians of deviation 1 / BLOB_BINS at the bins' centres;
  * around the azimuth it wraps. Directions are polar angle / pi and azimuth / 2 pi.
@@ -145,7 +145,8 @@ void grid_features(const real unit[3], global const float *restrict table, const
   }
 }
 
-/* What never changes, so that once per image is enough: `unit` and the rows after the grid's. */
+/* What does not change in training, and is computed once an image: `unit` and the rows after the
+ * grid's. */
 kernel void encode_fixed(const uint count, const uint stride, const uint total_points,
                          const float lower_x, const float lower_y, const float lower_z,
                          const float inverse_side, global const uint *restrict order,

@@ -1,18 +1,19 @@
-/* Folding: phi taken into the network, so that each shading point has a small network of (u, v) alone.
+/* Folding: phi is multiplied into the weights, so that each shading point has a small network of (u, v)
+ * alone.
  *
- * Every group of weights that phi acts on is `base + H features(phi)`. A work-item encodes VEC points (encode.cl)
- * and multiplies: here the vector's lanes are rows of H, so that a point's weights are stored as they come.
- * `heads` is H transposed: FEATURES + 1 rows of FOLD_ROWS floats (the last row multiplies the constant 1), group X
- * from FOLD_X on, each group padded to whole vectors. Group X of point p is written to
- * x[p * STRIDE_X ...]; groups with stride 0 are not touched.
+ * Every group of weights that phi acts on is `base + H features(phi)`. A work-item encodes VEC points
+ * (encode.cl) and multiplies: here the vector's lanes are rows of H, so that a point's weights are
+ * stored as they come. `heads` is H transposed: FEATURES + 1 rows of FOLD_ROWS floats (the last row
+ * multiplies the constant 1), group X from FOLD_X on, each group padded to whole vectors. Group X of
+ * point p is written to x[p * STRIDE_X ...]; groups with stride 0 are not touched.
  *
- * What the network learned may be relative to a factor, a plane of `factor_stride` floats a channel; then the
- * output layer takes it (DEMODULATED).
+ * With DEMODULATED the network has learned f over a factor (a plane of `factor_stride` floats a
+ * channel), and the output layer is multiplied by it.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
 
-/* Points that one pass over the features serves: independent sums hide the latency of FMA. */
+/* Points that are computed together: independent sums hide the latency of FMA. */
 #define POINT_BLOCK (VEC < 8 ? VEC : 8)
 
 /* The factors of rows row .. row + VEC of a group, `rows_a_channel` of which belong to each channel. */

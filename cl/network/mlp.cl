@@ -3,14 +3,14 @@
  *   h1 = relu(W1 (u, v) + b1)     h2 = relu(W2 h1 + b2)     g = W3 h2 + b3
  *
  * (u, v) enter as they are, so g is piecewise affine in them and its integral is exact (integrate.cl).
- * phi acts through linear heads: every group of weights but W2 may be `base + H features(phi)`. Heads are
- * evaluated once per shading point (fold.cl), and what remains is a small network of (u, v) alone.
+ * phi acts through linear heads: every group of weights but W2 may be `base + H features(phi)`. Heads
+ * are evaluated once per shading point (fold.cl), and what remains is a small network of (u, v) alone.
  *
- * Memory layout: w1 (HIDDEN1, 2), b1, w2 (HIDDEN2, HIDDEN1), b2, w3 (CHANNELS, HIDDEN2), b3 are row-major,
- * each its own array. Point p's part of array X starts at p * STRIDE_X; a stride of 0 means that all points
- * share it. `parameters` is the trained vector that network.py describes: W2, then HEAD_ROWS rows of
- * FEATURES + 1 floats (the last multiplies the constant 1), then BASE_ROWS single floats. Row ROW_X + i
- * yields element i of group X; rows below HEAD_ROWS have features.
+ * Memory layout: w1 (HIDDEN1, 2), b1, w2 (HIDDEN2, HIDDEN1), b2, w3 (CHANNELS, HIDDEN2), b3 are
+ * row-major, each its own array. Point p's part of array X starts at p * STRIDE_X; a stride of 0 means
+ * that all points share it. `parameters` is the trained vector that network.py describes: W2, then
+ * HEAD_ROWS rows of FEATURES + 1 floats (the last multiplies the constant 1), then BASE_ROWS single
+ * floats. Row ROW_X + i yields element i of group X; rows below HEAD_ROWS have features.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
@@ -35,8 +35,8 @@ typedef struct {
         b2 + (ulong)(point) * STRIDE_B2, w3 + (ulong)(point) * STRIDE_W3, b3 + (ulong)(point) * STRIDE_B3 \
   }
 
-/* Second-layer neurons computed side by side: independent sums hide the latency of FMA (eight take 0.81 of four's time
- * at 32 x 32 neurons, PoCL 3.1). */
+/* Second-layer neurons computed side by side: independent sums hide the latency of FMA (eight take 0.81
+ * of four's time at 32 x 32 neurons, PoCL 3.1). */
 #if HIDDEN2 % 8 == 0
 #define NEURON_BLOCK 8
 #elif HIDDEN2 % 4 == 0
@@ -47,8 +47,8 @@ typedef struct {
 #define NEURON_BLOCK 1
 #endif
 
-/* Whether g is b3 everywhere, as where the control coefficient is zero (alpha.cl); most often the first weight
- * tells. */
+/* Whether g is b3 everywhere, as where the control coefficient is zero (alpha.cl); most often the first
+ * weight tells. */
 bool is_constant(const PointNetwork *network) {
   for (int i = 0; i < CHANNELS * HIDDEN2; ++i)
     if (network->w3[i] != 0.0f) return false;

@@ -8,7 +8,8 @@
  * the compiler's -cl-mad-enable.
  *
  * Functions carry no `inline` and no `static`: C99's inline leaves an undefined symbol where a compiler
- * does not inline, and an unused static one is a warning; OpenCL compilers inline plain functions anyway.
+ * does not inline, and an unused static one is a warning; OpenCL compilers inline plain functions
+ * anyway.
  *
  * Work-group contract: none; these are pure functions of private values.
  */

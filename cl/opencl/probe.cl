@@ -3,7 +3,8 @@
  * Two chains a lane hide some of what each waits for. The results tend to
  * b / (1 - a), which the host checks.
  *
- * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles VEC values.
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
+ * VEC values.
  */
 
 kernel void multiply_add(const float a, const float b, global float *restrict values) {

@@ -8,7 +8,8 @@
  * that the position's error is a few ulps of the triangle's coordinates and not of the distance.
  * Writes the rows of surface.cl. Joined after surface.cl.
  *
- * camera: CAMERA_FLOATS floats: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2).
+ * camera: a record of CAMERA in points.py: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2). A
+ * record of MATERIAL there for each material.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
@@ -22,7 +23,8 @@ float3 camera_direction(global const float *restrict camera, const uint cell, co
                         const uint rows) {
   const float x = ((float)(cell % columns) + 0.5f) / (float)columns * 2.0f - 1.0f;
   const float y = 1.0f - ((float)(cell / columns) + 0.5f) / (float)rows * 2.0f;
-  return normalize(load3(camera, 1) + x * load3(camera, 2) + y * load3(camera, 3));
+  return normalize(vload3(0, camera + CAMERA_FORWARD) + x * vload3(0, camera + CAMERA_RIGHT) +
+                   y * vload3(0, camera + CAMERA_UP));
 }
 
 kernel void camera_rays(global const float *restrict camera, const uint first_cell, const uint count,
@@ -30,7 +32,7 @@ kernel void camera_rays(global const float *restrict camera, const uint first_ce
                         global float *restrict directions) {
   const uint ray = (uint)get_global_id(0);
   if (ray >= count) return;
-  vstore3(load3(camera, 0), ray, origins);
+  vstore3(vload3(0, camera + CAMERA_POSITION), ray, origins);
   vstore3(camera_direction(camera, first_cell + ray, columns, rows), ray, directions);
 }
 
@@ -91,9 +93,9 @@ kernel void shading_points(global const float *restrict camera, const uint colum
   store_row3(surface, total_points, ROW_OUTGOING, point, outgoing);
   surface[ROW_OFFSET * stride + point] = surface_offset(position, triangle_spread(extent, geometric_normal));
   for (uint i = 0; i < 3; ++i) {
-    surface[(ROW_ALBEDO + i) * stride + point] = materials[material + i];
-    surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + 3 + i];
+    surface[(ROW_ALBEDO + i) * stride + point] = materials[material + MATERIAL_ALBEDO + i];
+    surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + MATERIAL_REFLECTANCE + i];
   }
-  surface[ROW_ROUGHNESS * stride + point] = materials[material + 6];
+  surface[ROW_ROUGHNESS * stride + point] = materials[material + MATERIAL_ROUGHNESS];
   surface[ROW_LOBE_SHARE * stride + point] = 0.0f;
 }

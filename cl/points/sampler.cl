@@ -159,7 +159,7 @@ void sample_nested(const bits point, const bits index, const uint stream, const 
   coordinates[4] = to_unit_interval((words[0] << 24) | ((words[1] & 255u) << 16) | ((words[2] & 255u) << 8));
 }
 
-/* The bare sampler, for users who bring their own integrand and for the sampler's own tests. */
+/* The sampler alone, for tests. */
 kernel void square_samples(const uint first_point, const uint point_count, const uint first_sample,
                            const uint stride, const uint stream, const uint seed_low,
                            const uint seed_high, global float *restrict u, global float *restrict v) {

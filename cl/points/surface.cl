@@ -56,10 +56,10 @@ ShadingPoint load_shading_point(global const float *restrict surface, const uint
 
 float largest(const float3 x) { return fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z))); }
 
-/* How far rays start off a surface: some rounding errors of the coordinates that enter where they start. These are the
- * position's own and, along the surface's normal, the corners' about it, as a ray tracer subtracts its ray's origin
- * from them: `spread` is that distance, at most, of a triangle whose box is `extent` large. So what a huge triangle's
- * corners lose counts only where it is not along the triangle. */
+/* How far rays start off a surface: RELATIVE_OFFSET times the coordinates whose rounding can move the
+ * hit. These are the position's own and, since a ray tracer subtracts the ray's origin from a triangle's
+ * corners, the corners' distance from the position. Of the latter only the part along the normal
+ * matters: `spread` bounds it for a triangle whose box has size `extent`. */
 float triangle_spread(const float3 extent, const float3 normal) {
   return dot(fabs(normal), extent) + LEAST_SPREAD * largest(extent);
 }

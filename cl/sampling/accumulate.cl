@@ -1,13 +1,14 @@
 /* Running mean and variance of f, and of the residual f - g, for every shading point.
  *
  * One group of LANES work-items a point (several points share a work-group); work-items take VEC samples
- * at a time, and their results are merged in a fixed order. All sums are about a value near the mean, so
- * a small variance beside a large mean keeps its digits; merging follows Chan, Golub and LeVeque (1983).
- * The running mean is kept in two floats, because thousands of passes each add less than its last bit.
+ * at a time, and their results are merged in a fixed order. Sums are of differences to a value near the
+ * mean, so that a small variance beside a large mean keeps its digits; merging follows Chan, Golub and
+ * LeVeque (1983). The running mean is kept in two floats, because one of thousands of passes changes it
+ * by less than the last bit of one float.
  *
  * Memory layout: `state` is structure of arrays, row * total_points + point, with rows
- * (quantity * CHANNELS + channel) * STATE_FLOATS + (0 mean, 1 mean's low part, 2 sum of squared
- * deviations); quantity 0 is f, quantity 1 (WITH_NETWORK) is f - g.
+ * (quantity * CHANNELS + channel) * STATE_FLOATS and on, a record of STATE in accumulate.py (mean, the
+ * mean's low part, sum of squared deviations); quantity 0 is f, quantity 1 (WITH_NETWORK) is f - g.
  *
  * Work-group contract: one-dimensional, GROUP_POINTS * LANES work-items; local memory 3 floats a
  * work-item and a barrier after each step of the merge where LANES > 1, none of either where LANES is 1.
@@ -36,8 +37,8 @@ Moments merge_moments(const Moments a, const Moments b) {
 
 void add_to_state(global float *restrict state, const ulong stride, const float previous_count,
                   const Moments fresh) {
-  const float high = state[0];
-  const float low = state[stride];
+  const float high = state[STATE_MEAN * stride];
+  const float low = state[STATE_LOW * stride];
   const float count = previous_count + fresh.count;
   const float distance = (fresh.mean - high) - low;
   const float share = fresh.count / count;
@@ -45,9 +46,9 @@ void add_to_state(global float *restrict state, const ulong stride, const float 
   const float step = distance * share + low;
   const float sum = high + step;
   const float virtual_step = sum - high;
-  state[0] = sum;
-  state[stride] = (high - (sum - virtual_step)) + (step - virtual_step);
-  state[2 * stride] += fresh.deviations + distance * distance * previous_count * share;
+  state[STATE_MEAN * stride] = sum;
+  state[STATE_LOW * stride] = (high - (sum - virtual_step)) + (step - virtual_step);
+  state[STATE_DEVIATIONS * stride] += fresh.deviations + distance * distance * previous_count * share;
 }
 
 kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void accumulate(

@@ -5,13 +5,14 @@
  * Work-group contract: none; pure functions of private values.
  */
 
-/* 1 where the ray of a sample reached its end, or is known to (SEEN); 0 where it was blocked or never traced. */
+/* 1 where a sample's ray reached its end, or is known to (slot SEEN); 0 where it was blocked, or the
+ * sample has no ray. */
 real load_visibility(global const uint *restrict slot, global const uchar *restrict visible,
                      const ulong at) {
   const bits own = LOAD(slot + at);
   const whole seen = own == (bits)SEEN;
   const whole asked = (own != (bits)SEEN) && (own != (bits)NO_RAY);
-  /* Where all of a point's occluders are known, nobody was asked. */
+  /* None of these samples has a traced ray. */
   if (!ANY(asked)) return SELECT((real)0.0f, (real)1.0f, seen);
   uint slots[VEC];
   float answer[VEC];

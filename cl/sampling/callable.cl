@@ -1,11 +1,12 @@
-/* Coordinates of samples for integrands that are evaluated on the host: points of the unit square, uniform or,
- * with WARPED (warp.cl or warp_triangles.cl joined before), by each point's record in `density`.
+/* Coordinates of samples for integrands that are evaluated on the host: points of the unit square,
+ * uniform or, with WARPED (warp.cl or warp_triangles.cl joined before), by each point's record in
+ * `density`.
  *
- * Layout as in samples.cl: sample s of batch point p is element p * stride + s of `u`, `v` and `weight`; batch
- * point p is point order[first_point + p].
+ * Layout as in samples.cl: sample s of batch point p is element p * stride + s of `u`, `v` and `weight`;
+ * batch point p is point order[first_point + p].
  *
- * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles VEC
- * consecutive samples of one point.
+ * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
+ * VEC consecutive samples of one point.
  */
 
 kernel void draw_coordinates(const uint first_point, const uint point_count, const uint first_sample,

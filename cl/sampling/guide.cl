@@ -1,14 +1,15 @@
-/* Guided bounces: where light comes from, learned in training, for every part of the scene.
+/* Guided bounces: for every part of the scene a density of directions from which light arrives, learned
+ * in training.
  *
  * The scene's bounding box is cut into GUIDE_SIDE^3 boxes with six directions of normals each. Each of these
  * cells has one density of the unit square (a record of warp.cl in `guide`), by which the coordinates of a
- * matte surface's next direction are warped. guide_frame: six floats, the box's lower corner and one over
- * the extent of its cells.
+ * matte surface's next direction are warped. guide_frame: a record of FRAME in guide.py, the box's lower
+ * corner and one over the extent of its cells.
  *
- * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean radiance that arrives there from other surfaces,
- * over the square. It replaces what roulette ends.
+ * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean over the square of the radiance that arrives
+ * there from other surfaces. Roulette adds it in place of the path that it ends (paths.cl).
  *
- * Joined after warp.cl, which sends a coordinate through a row of a record.
+ * Joined after warp.cl, whose warp_axis applies one row of a record to a coordinate.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
@@ -16,9 +17,9 @@
 whole guide_step(const real place) { return clamp(TO_WHOLE(place), (whole)0, (whole)(GUIDE_SIDE - 1)); }
 
 whole guide_cell(global const float *restrict guide_frame, const triple position, const triple normal) {
-  const whole x = guide_step((position.x - guide_frame[0]) * guide_frame[3]);
-  const whole y = guide_step((position.y - guide_frame[1]) * guide_frame[4]);
-  const whole z = guide_step((position.z - guide_frame[2]) * guide_frame[5]);
+  const whole x = guide_step((position.x - guide_frame[GUIDE_FRAME_CORNER]) * guide_frame[GUIDE_FRAME_CELLS]);
+  const whole y = guide_step((position.y - guide_frame[GUIDE_FRAME_CORNER + 1]) * guide_frame[GUIDE_FRAME_CELLS + 1]);
+  const whole z = guide_step((position.z - guide_frame[GUIDE_FRAME_CORNER + 2]) * guide_frame[GUIDE_FRAME_CELLS + 2]);
   const real size_x = fabs(normal.x);
   const real size_y = fabs(normal.y);
   const real size_z = fabs(normal.z);
@@ -30,7 +31,7 @@ whole guide_cell(global const float *restrict guide_frame, const triple position
   return ((z * GUIDE_SIDE + y) * GUIDE_SIDE + x) * 6 + axis * 2 + side;
 }
 
-/* Which of the square's cells, row after row, a point lies in. */
+/* The index of the bin of the square that (u, v) lies in, row after row. */
 whole guide_bin(const real u, const real v) {
   return TO_WHOLE(u * (float)DENSITY_BINS) * DENSITY_BINS + TO_WHOLE(v * (float)DENSITY_BINS);
 }
@@ -39,8 +40,9 @@ whole guide_bin(const real u, const real v) {
 real guide_square(global const uint *restrict guide, const whole cell, real *u, real *v) {
   real inverse_density = (real)1.0f;
   const bits record = TO_BITS(cell * DENSITY_WORDS);
-  const whole strip = warp_axis(gather_bits(guide, record), gather_bits(guide, record + 1u), u, &inverse_density);
-  const bits row = record + TO_BITS(2 * strip + 2);
+  const bits strips = record + DENSITY_STRIPS;
+  const whole strip = warp_axis(gather_bits(guide, strips), gather_bits(guide, strips + 1u), u, &inverse_density);
+  const bits row = record + TO_BITS(DENSITY_ROW * strip + DENSITY_CELLS);
   warp_axis(gather_bits(guide, row), gather_bits(guide, row + 1u), v, &inverse_density);
   return inverse_density;
 }

@@ -13,18 +13,12 @@
  * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
  * them; there is then nothing for add_lit.
  *
- * `triangles`: records of TRIANGLE_FLOATS floats: 0 unit normal, 3 distance of its plane from the scene's origin,
- * 4 offset of ray origins by its spread (surface.cl; negative where the corners have normals), 5 light (-1: none), 6 albedo, then with
- * HAS_SPECULAR reflectance (3) and roughness, with HAS_EMISSION emission (3), with HAS_NORMALS the corners'
- * normals (9). Both sides are alike.
+ * `triangles`: records of triangles.py. With HAS_SPECULAR they have reflectance and roughness, with HAS_EMISSION
+ * emission, with HAS_NORMALS the corners' normals. Both sides are alike.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
  * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
  */
-
-#define AT_REFLECTANCE 9
-#define AT_EMISSION (9 + 4 * HAS_SPECULAR)
-#define AT_NORMALS (AT_EMISSION + 3 * HAS_EMISSION)
 
 /* Throughput of one more bounce: f_r cos / density, zero below the surface. */
 triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
@@ -77,7 +71,7 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.path = LANE_NUMBER + (uint)at;
   ray.strips = strips_at(lights, &p);
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-  /* Of use at depth 2 is only what could have found a light. */
+  /* Without emissive surfaces a path of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, 0, plane, wave);
@@ -94,23 +88,23 @@ triple turned(const triple t, const whole turn) {
 /* Where rays hit. The position along the ray is moved onto the triangle's plane, for the offset to suffice. */
 void load_hit(global const float *restrict triangles, const whole at, const triple along, const real b1, const real b2,
               const triple outgoing, triple *position, triple *geometric_normal, Scatterer *s) {
-  const triple own = gather_triple(triangles, at);
-  const real above = dot_triple(own, along) - gather(triangles, at + 3);
+  const triple own = gather_triple(triangles, at + TRIANGLE_NORMAL);
+  const real above = dot_triple(own, along) - gather(triangles, at + TRIANGLE_DISTANCE);
   *position = sum_of(along, own, -above);
   *geometric_normal = turned(own, dot_triple(own, outgoing) < 0.0f);
   s->normal = *geometric_normal;
   s->outgoing = outgoing;
-  s->albedo = gather_triple(triangles, at + 6);
+  s->albedo = gather_triple(triangles, at + TRIANGLE_ALBEDO);
 #if HAS_SPECULAR
-  s->reflectance = gather_triple(triangles, at + AT_REFLECTANCE);
-  s->roughness = gather(triangles, at + AT_REFLECTANCE + 3);
+  s->reflectance = gather_triple(triangles, at + TRIANGLE_REFLECTANCE);
+  s->roughness = gather(triangles, at + TRIANGLE_ROUGHNESS);
 #endif
 #if HAS_NORMALS
-  const whole smooth = gather(triangles, at + 4) < 0.0f;
+  const whole smooth = gather(triangles, at + TRIANGLE_OFFSET) < 0.0f;
   if (ANY(smooth)) {
-    const triple corner0 = gather_triple(triangles, at + AT_NORMALS);
-    const triple corner1 = gather_triple(triangles, at + AT_NORMALS + 3);
-    const triple corner2 = gather_triple(triangles, at + AT_NORMALS + 6);
+    const triple corner0 = gather_triple(triangles, at + TRIANGLE_NORMAL_0);
+    const triple corner1 = gather_triple(triangles, at + TRIANGLE_NORMAL_1);
+    const triple corner2 = gather_triple(triangles, at + TRIANGLE_NORMAL_2);
     const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
     triple normal = sum_of(sum_of(sum_of(zero, corner0, 1.0f - b1 - b2), corner1, b1), corner2, b2);
     normal = turned(normal, dot_triple(normal, *geometric_normal) < 0.0f);
@@ -156,13 +150,13 @@ triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y 
 triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
                  const triple direction, const real distance, const real density) {
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = -dot_triple(light_triple(lights, record, 9), direction);
-  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, 17) > 0.0f);
+  const real emitted = -dot_triple(light_triple(lights, record, LIGHT_NORMAL), direction);
+  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
   const real share = density / (density + other);
   const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
-  const triple amount = light_triple(lights, record, 12);
+  const triple amount = light_triple(lights, record, LIGHT_RADIANCE);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
 
@@ -178,27 +172,27 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const whole here = LANE_NUMBER + first < (bits)count;
-  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, HIT) + first)), here);
+  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here);
   const whole at = max(triangle, (whole)0) * TRIANGLE_FLOATS;
-  const triple origin = load_planes(wave, NEXT_RAY, plane, first);
-  const triple direction = load_planes(wave, NEXT_RAY + 3, plane, first);
+  const triple origin = load_planes(wave, WAVE_ORIGIN, plane, first);
+  const triple direction = load_planes(wave, WAVE_DIRECTION, plane, first);
   const triple outgoing = {-direction.x, -direction.y, -direction.z};
-  const real distance = LOAD(PLANE(wave, HIT + 3) + first);
+  const real distance = LOAD(PLANE(wave, WAVE_DISTANCE) + first);
   Ray ray;
-  ray.throughput = load_planes(wave, NEXT_STATE, plane, first);
-  /* What a lane past the last ray finds there may be of a larger batch. */
-  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, NEXT_STATE + 4) + first)), here);
-  const whole light = TO_WHOLE(gather(triangles, at + 5));
+  ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
+  /* Lanes past the last ray may read a path number of an earlier, larger batch. */
+  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
+  const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
   const whole met = triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
   /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
-    const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
+    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
 #if LIGHT_COUNT > 1
     /* Lanes past the last ray hold anything. */
-    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, NEXT_STATE + 5) + first)), on_light);
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
 #else
     const whole left = all_strips(lights);
 #endif
@@ -208,10 +202,11 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, HIT + 1) + first),
-           LOAD(PLANE(wave, HIT + 2) + first), outgoing, &position, &geometric_normal, &s);
+  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
+           LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
 #if HAS_EMISSION
-  brought = sum_where(brought, product(ray.throughput, gather_triple(triangles, at + AT_EMISSION)), on_surface);
+  const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
+  brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
   if (bounce + 2 > max_depth) {
@@ -219,12 +214,13 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     return;
   }
   whole both_ways = on_surface;
-  /* For the last of them a ray that finds light is worth while only if there is a lobe. */
+  /* A last ray can only find an area light, and is traced only if the surface has a lobe: other surfaces
+   * find these lights by their points alone. */
   const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
   /* As surface_offset. */
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
-  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + 4)));
+  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
   ray.origin = sum_of(position, geometric_normal, offset);
   /* The path's sample: of which point, and which of its samples. */
   /* Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
@@ -310,8 +306,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
         alive && (coordinates[4] < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
 #if GUIDED
-    /* What a cell is known to receive is counted in any case, and roulette decides on the difference alone:
-     * c + (R - c) / survival or c, whose expectation is R whatever c. */
+    /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
+     * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
+     * R for every c. */
     const whole known = cell * GUIDE_CHANNELS;
     const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
     const triple expected = sum_of((triple){(real)0.0f, (real)0.0f, (real)0.0f}, gather_triple(guide_mean, known), kept);
@@ -322,8 +319,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     ray.throughput.y *= scale_up;
     ray.throughput.z *= scale_up;
   }
-  /* After roulette, which goes by how bright the surface is, and not by how likely the direction was. Light that the
-   * ray finds is weighted as if it had not been guided: weights have to sum to one, no more. */
+  /* After roulette, which depends on the surface's throughput and not on the density of the direction.
+   * The MIS weight of light that the ray finds is that of an unguided ray: weights need only sum to
+   * one. */
   ray.throughput.x *= inverse_guide;
   ray.throughput.y *= inverse_guide;
   ray.throughput.z *= inverse_guide;
@@ -335,9 +333,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 kernel void add_lit(const uint count, const uint plane, global const float *restrict wave,
                     global float *restrict radiance) {
   const uint ray = (uint)get_global_id(0);
-  if (ray >= count || ((global const uchar *)PLANE(wave, LIT))[ray] == 0) return;
-  global float *sum = radiance + as_uint(PLANE(wave, SHADOW_STATE + 3)[ray]) * (ulong)RADIANCE_FLOATS;
-  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, SHADOW_STATE + channel)[ray];
+  if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
+  global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
+  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
 }
 
 /* `most` caps what a path brings, by its largest channel. */

@@ -12,6 +12,11 @@
  * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
  * or SEEN. The second word of `ray_count` counts them.
  *
+ * With LINES (lines.cl joined before) samples of such points, which are then the sampler's points (x, y) in `u` and `v`,
+ * are moved along lines to where they see the light, and their values hold the lines' visible length: an
+ * integrand of (x, y), whose integral is the same. The third word of `ray_count` counts samples that no line
+ * was found for, which are tested like others.
+ *
  * With SLICES (slices.cl joined before) a sample is a whole slice of the hemisphere at its v, and its value the exact
  * integral over u of the integrand with visibility: an integrand that does not depend on u. A slice that is refused
  * is sampled at its u by a ray; the third word of `ray_count` counts these.
@@ -34,8 +39,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const uint *restrict density, global float *restrict weight,
 #endif
 #if SHAFTS
-                         const uint corner_stride, global const uint *restrict occluders,
-                         global const float *restrict corners,
+                         const uint corner_stride, global const uint *restrict starts,
+                         global const uint *restrict occluders, global const float *restrict corners,
 #endif
 #if SLICES
                          const float unit, global const uint *restrict levels, global const float *restrict boxes,
@@ -55,6 +60,42 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
 
+  float sample_u[BLOCKS_A_ITEM * VEC], sample_v[BLOCKS_A_ITEM * VEC];
+  uint own_blocks = 0;
+  for (uint block = first_block; block < blocks; block += items_a_point) {
+    const ulong at = (ulong)local_point * stride + block * VEC;
+    real own_u, own_v;
+#if SLICES
+    sample_azimuths(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
+#else
+    sample_square(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
+#endif
+#if WARPED
+    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
+    STORE(warp_square(record, &own_u, &own_v), weight + at);
+#endif
+    STORE(own_u, u + at);
+    STORE(own_v, v + at);
+    STORE(own_u, sample_u + own_blocks * VEC);
+    STORE(own_v, sample_v + own_blocks * VEC);
+    ++own_blocks;
+  }
+#if SHAFTS
+  global const uint *restrict own_occluders = occluders + starts[point];
+#endif
+#if LINES
+  float share[BLOCKS_A_ITEM * VEC];
+  int refused[BLOCKS_A_ITEM * VEC];
+  for (uint k = 0; k < BLOCKS_A_ITEM * VEC; ++k) {
+    share[k] = 1.0f;
+    refused[k] = 0;
+  }
+  const bool moves = own_occluders[0] != TOO_MANY && own_occluders[0] > 0;
+  if (moves)
+    take_visible(&p, integrand_data, own_occluders, corners, corner_stride, own_blocks, sample_u, sample_v, share,
+                 refused);
+#endif
+
   real direction[BLOCKS_A_ITEM][3];
   real distance[BLOCKS_A_ITEM];
   whole live[BLOCKS_A_ITEM];
@@ -69,33 +110,24 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     if (block >= blocks) continue;
     const ulong at = (ulong)local_point * stride + block * VEC;
     const bits index = LANE_NUMBER + block * VEC;
-    real sample_u, sample_v;
     real sample_value[CHANNELS];
-#if SLICES
-    sample_azimuths(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
-#else
-    sample_square(point, index + first_sample, stream, seed_low, seed_high, &sample_u, &sample_v);
-#endif
-#if WARPED
-    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
-    STORE(warp_square(record, &sample_u, &sample_v), weight + at);
-#endif
 #if SLICES
     const whole is_sample = (index < sample_count);
     const whole refused = slice_integrals(&p, integrand_data[0], unit, levels, boxes, triangles, is_sample,
-                                          sample_v, sample_value);
+                                          LOAD(sample_v + k * VEC), sample_value);
     if (ANY(refused)) {
       real at_u[CHANNELS];
-      evaluate_integrand(&p, integrand_data, sample_u, sample_v, at_u, direction[k], &distance[k]);
+      evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), at_u, direction[k], &distance[k]);
       sample_value[0] = SELECT(sample_value[0], at_u[0], refused);
       atomic_add(ray_count + 2, popcount(lane_mask(refused)));
     }
 #else
-    evaluate_integrand(&p, integrand_data, sample_u, sample_v, sample_value, direction[k], &distance[k]);
+    evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), sample_value, direction[k], &distance[k]);
 #endif
-    STORE(sample_u, u + at);
-    STORE(sample_v, v + at);
     for (uint channel = 0; channel < CHANNELS; ++channel) {
+#if LINES
+      sample_value[channel] *= LOAD(share + k * VEC);
+#endif
       sample_value[channel] = SELECT((real)0.0f, sample_value[channel], index < sample_count);
       live[k] = live[k] || (fabs(sample_value[channel]) > 0.0f);
       STORE(sample_value[channel], value + channel * plane + at);
@@ -114,9 +146,14 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
 
   const float3 origin = ray_origin(&p);
 #if SHAFTS
-  global const uint *restrict own_occluders = occluders + point * (ulong)OCCLUDER_WORDS;
   if (own_occluders[0] != TOO_MANY) {
-    close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
+#if LINES
+    /* What was moved to where it sees the light needs no test. */
+    const uint untested = moves ? test_refused(own_occluders, corners, corner_stride, origin, direction, refused, live) : 0;
+    if (untested > 0) atomic_add(ray_count + 2, untested);
+    if (!moves)
+#endif
+      close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
     for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
       const uint block = first_block + k * items_a_point;
       if (block < blocks)

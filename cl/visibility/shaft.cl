@@ -5,9 +5,10 @@
  * triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
  * samples are tested against these (Haines and Wallace 1991, shaft culling); other points leave their rays to the host.
  *
- * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the light's
- * and the surface's own. A triangle all of whose corners lie outside one plane by more than rounding is left out;
- * what is kept though it cannot be hit costs time only.
+ * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the
+ * light's and the surface's own. A triangle all of whose corners lie outside one plane by more than
+ * rounding is left out. A triangle that is kept although no ray can hit it costs time, but changes no
+ * result.
  *
  * The test. With corners a, b, c relative to the origin and direction d, the signs of d.(b x c), d.(c x a) and
  * d.(a x b) say on which side of the three edges the ray passes. Of two triangles with a common edge one gets
@@ -17,7 +18,9 @@
  * Memory layout: `boxes`: planes of box_stride floats: lower x, y, z, upper x, y, z; the boxes of triangles, then
  * those of these boxes, then those of these (first_1, first_2). Box k of a level holds number k * BRANCH and on
  * of the level below. `corners`: planes of corner_stride floats, x, y, z of each triangle's corner 0, then 1,
- * then 2. `occluders`: OCCLUDER_WORDS words a point: how many (TOO_MANY: not known), and which; `lengths`: how many.
+ * then 2. `occluders`: lists one after another, each how many triangles (TOO_MANY: not known) and which; a point's
+ * begins at its number in `starts`. The first two words are the lists of all points that have too many, and of all that
+ * have none. `lengths`: how many; `cursor`: where the next list begins, in whatever order points are done.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_occluders is one work-item a
  * point.
@@ -35,14 +38,14 @@ typedef struct {
 void shaft_planes(const ShadingPoint *p, global const float *restrict light, const float tolerance,
                   Plane plane[SHAFT_PLANES]) {
   const float3 origin = ray_origin(p);
-  const float3 edge1 = vload3(1, light);
-  const float3 edge2 = vload3(2, light);
-  const float3 normal = vload3(3, light);
+  const float3 edge1 = vload3(0, light + LIGHT_EDGE1);
+  const float3 edge2 = vload3(0, light + LIGHT_EDGE2);
+  const float3 normal = vload3(0, light + LIGHT_NORMAL);
   const float offset = light_offset(light, p->position);
-  const float emitted = dot(normal, origin - vload3(0, light));
+  const float emitted = dot(normal, origin - vload3(0, light + LIGHT_CORNER));
   const float3 ends = emitted > 0.0f ? normal : -normal;
   float3 corner[4];
-  corner[0] = vload3(0, light) - origin + offset * ends;
+  corner[0] = vload3(0, light + LIGHT_CORNER) - origin + offset * ends;
   corner[1] = corner[0] + edge1;
   corner[2] = corner[1] + edge2;
   corner[3] = corner[0] + edge2;
@@ -118,16 +121,38 @@ uint triangles_in_shaft(const Plane *plane, const float3 origin, global const fl
   return found;
 }
 
-/* Adds those of `found`, numbered from `first`, to the list, of which the first `before` are another light's; returns
- * its length, TOO_MANY if they do not fit. */
-uint list_occluders(const uint found, const uint first, const uint before, uint count, global uint *restrict own) {
+/* Which boxes reach into some shaft: of each light's only if their parent, number `bit` of its level, does. */
+uint boxes_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, global const float *restrict boxes,
+                     const uint stride, const uint first, const uint end, const uint parents[LIGHT_COUNT],
+                     const uint bit, uint found[LIGHT_COUNT]) {
+  uint any = 0;
+  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+    found[light] = 0;
+    if ((parents[light] >> bit & 1u) != 0)
+      found[light] = boxes_in_shaft(plane[light], origin, boxes, stride, first, end);
+    any |= found[light];
+  }
+  return any;
+}
+
+/* The same of triangles. */
+uint triangles_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin,
+                         global const float *restrict corners, const uint stride, const uint first, const uint end,
+                         const uint parents[LIGHT_COUNT], const uint bit) {
+  uint any = 0;
+  for (uint light = 0; light < LIGHT_COUNT; ++light)
+    if ((parents[light] >> bit & 1u) != 0)
+      any |= triangles_in_shaft(plane[light], origin, corners, stride, first, end);
+  return any;
+}
+
+/* Adds those of `found`, numbered from `first`, to the list; returns its length, TOO_MANY if they do not fit. */
+uint list_occluders(const uint found, const uint first, const uint most, const uint before, uint own[MOST_OCCLUDERS]) {
+  uint count = before;
   for (uint bit = 0; found >> bit != 0; ++bit) {
     if ((found >> bit & 1u) == 0) continue;
-    bool is_new = true;
-    for (uint k = 1; k <= before; ++k) is_new = is_new && own[k] != first + bit;
-    if (!is_new) continue;
-    if (count == MOST_OCCLUDERS) return TOO_MANY;
-    own[++count] = first + bit;
+    if (count == most) return TOO_MANY;
+    own[count++] = first + bit;
   }
   return count;
 }
@@ -135,41 +160,59 @@ uint list_occluders(const uint found, const uint first, const uint before, uint 
 kernel void find_occluders(const uint point_count, const uint total_points, const float tolerance,
                            const uint triangle_count, const uint corner_stride, const uint box_stride,
                            const uint count_0, const uint first_1, const uint count_1, const uint first_2,
-                           const uint count_2, global const float *restrict surface,
-                           global const float *restrict lights, global const float *restrict boxes,
-                           global const float *restrict corners, global uint *restrict occluders,
-                           global uint *restrict lengths) {
+                           const uint count_2, const uint most, const uint capacity,
+                           global const float *restrict surface, global const float *restrict lights,
+                           global const float *restrict boxes, global const float *restrict corners,
+                           global uint *restrict occluders, global uint *restrict starts,
+                           global uint *restrict lengths, volatile global uint *restrict cursor) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   const float3 origin = ray_origin(&p);
-  global uint *restrict own = occluders + point * (ulong)OCCLUDER_WORDS;
+  Plane plane[LIGHT_COUNT][SHAFT_PLANES];
+  uint all[LIGHT_COUNT];
+  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+    shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane[light]);
+    all[light] = 1u;
+  }
+  uint own[MOST_OCCLUDERS];
+  uint in_top[LIGHT_COUNT], in_middle[LIGHT_COUNT], in_bottom[LIGHT_COUNT];
   uint count = 0;
-  for (uint light = 0; light < LIGHT_COUNT && count != TOO_MANY; ++light) {
-    const uint before = count;
-    Plane plane[SHAFT_PLANES];
-    shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane);
-    for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
-      const uint in_top = boxes_in_shaft(plane, origin, boxes + first_2, box_stride, top, count_2);
-      for (uint i = 0; in_top >> i != 0 && count != TOO_MANY; ++i) {
-        if ((in_top >> i & 1u) == 0) continue;
-        const uint middle = (top + i) * BRANCH;
-        const uint in_middle = boxes_in_shaft(plane, origin, boxes + first_1, box_stride, middle, count_1);
-        for (uint j = 0; in_middle >> j != 0 && count != TOO_MANY; ++j) {
-          if ((in_middle >> j & 1u) == 0) continue;
-          const uint bottom = (middle + j) * BRANCH;
-          const uint in_bottom = boxes_in_shaft(plane, origin, boxes, box_stride, bottom, count_0);
-          for (uint k = 0; in_bottom >> k != 0 && count != TOO_MANY; ++k) {
-            if ((in_bottom >> k & 1u) == 0) continue;
-            const uint first = (bottom + k) * BRANCH;
-            count = list_occluders(triangles_in_shaft(plane, origin, corners, corner_stride, first, triangle_count),
-                                   first, before, count, own);
-          }
+  for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
+    const uint tops = boxes_in_shafts(plane, origin, boxes + first_2, box_stride, top, count_2, all, 0, in_top);
+    for (uint i = 0; tops >> i != 0 && count != TOO_MANY; ++i) {
+      if ((tops >> i & 1u) == 0) continue;
+      const uint middle = (top + i) * BRANCH;
+      const uint middles =
+          boxes_in_shafts(plane, origin, boxes + first_1, box_stride, middle, count_1, in_top, i, in_middle);
+      for (uint j = 0; middles >> j != 0 && count != TOO_MANY; ++j) {
+        if ((middles >> j & 1u) == 0) continue;
+        const uint bottom = (middle + j) * BRANCH;
+        const uint bottoms =
+            boxes_in_shafts(plane, origin, boxes, box_stride, bottom, count_0, in_middle, j, in_bottom);
+        for (uint k = 0; bottoms >> k != 0 && count != TOO_MANY; ++k) {
+          if ((bottoms >> k & 1u) == 0) continue;
+          const uint first = (bottom + k) * BRANCH;
+          const uint found =
+              triangles_in_shafts(plane, origin, corners, corner_stride, first, triangle_count, in_bottom, k);
+          count = list_occluders(found, first, most, count, own);
         }
       }
     }
   }
-  own[0] = lengths[point] = count;
+  lengths[point] = count;
+  if (point == 0) {
+    occluders[0] = TOO_MANY;
+    occluders[1] = 0u;
+  }
+  starts[point] = count == TOO_MANY ? 0u : 1u;
+  if (count == TOO_MANY || count == 0) return;
+  const uint start = atomic_add(cursor, count + 1);
+  /* What does not fit the host sees from the lengths, and asks for shorter lists. */
+  if (start >= capacity || count >= capacity - start) return;
+  starts[point] = start;
+  occluders[start] = count;
+  for (uint k = 0; k < count; ++k) occluders[start + 1 + k] = own[k];
 }
 
 /* a x b, exactly the negative of b x a: no product may be fused into the difference. */

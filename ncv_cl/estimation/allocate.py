@@ -8,13 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
-# spread ones, whose error falls faster than 1 / n, a little less (measured over the shipped scenes).
-MAGNITUDE_POWER = 0.9
-# A point whose residual is predicted to be nothing still gets so many: predictions are not certainties.
-FEWEST_SAMPLES = 4
-# No point gets more than this multiple of the average.
-LARGEST_SHARE = 64
+from . import tuning
+
 # Samples are numbered by 32 bits.
 LARGEST_NUMBER_BITS = 31
 
@@ -37,7 +32,7 @@ class Allocation:
     counts : ndarray
         int64 (chosen,), samples of each of them.
     at_once : int
-        Of these, so many are among the first that are drawn at all.
+        Samples of a point that the first pass draws at least.
     """
 
     chosen: np.ndarray
@@ -53,8 +48,9 @@ class Allocation:
     def of_counts(cls, counts: np.ndarray) -> Allocation:
         """counts[i] samples for point i."""
         chosen = np.argsort(counts, kind="stable").astype(np.uint32)
-        # Where drawing ends early, no point has a single sample, of which there is no variance. All of
-        # its few must not come at once: by how its parts differ the error is known.
+        # If drawing ends early, no point may have a single sample, of which there is no variance; nor
+        # may all of a point's few samples come at once, since its error is read off the difference of
+        # its halves.
         return cls(chosen, np.asarray(counts, np.int64)[chosen], 2)
 
     def restricted(self, points: np.ndarray, total: int) -> Allocation:
@@ -70,13 +66,13 @@ class Allocation:
         return int(self.counts.sum())
 
     def converged(self) -> dict[str, int]:
-        """Points that get the fewest samples, since more would be of no use, and what that saves.
+        """How many points get the fewest samples, and how many samples that saves.
 
         Returns
         -------
         dict
-            ``converged_points``, none where all get alike, and ``converged_samples``, how many less
-            than the average they get in all.
+            ``converged_points``, 0 if all points get the same number, and ``converged_samples``, how
+            many samples less than the average they get together.
         """
         fewest = int(self.counts.min()) if len(self.counts) else 0
         points = int(np.count_nonzero(self.counts == fewest))
@@ -86,7 +82,7 @@ class Allocation:
         return {"converged_points": points, "converged_samples": round(saved)}
 
     def part(self, begin: int, end: int, whole: int) -> list[Run]:
-        """From `begin` to `end` of `whole` parts of all samples; from 0 `at_once` of each point's."""
+        """The samples of parts `begin` to `end` of `whole`; the first part has `at_once` at least."""
         firsts = np.flatnonzero(np.diff(self.counts, prepend=-1)).tolist()
         runs = []
         for first, last in itertools.pairwise([*firsts, len(self.counts)]):
@@ -101,14 +97,13 @@ class Allocation:
 def allocate(
     magnitude: np.ndarray,
     average: int,
-    fewest: int = FEWEST_SAMPLES,
-    power: float = MAGNITUDE_POWER,
+    fewest: int | None = None,
 ) -> np.ndarray:
     """Samples for each point, as a power of its predicted residual; int64 (points,).
 
-    Numbers are powers of two, where Sobol points are best spread, at least `fewest` (or the average
-    where that is less), and `average` at most on average. They depend on nothing that the
-    samples themselves decide, so estimates stay unbiased.
+    Numbers are powers of two, for which Sobol points are best spread, at least `fewest` (or the average
+    if that is less), and their mean is at most `average`. They do not depend on the samples that are
+    then drawn, so estimates stay unbiased.
 
     Parameters
     ----------
@@ -116,20 +111,21 @@ def allocate(
         (points,), non-negative: the root mean square of each point's residual.
     average : int
         Samples a point on average.
-    fewest : int
-        A power of two.
+    fewest : int, optional
+        A power of two; `tuning.FEWEST_SAMPLES` by default.
 
     Notes
     -----
-    Minimises the sum of magnitude² / n^(2 / power - 1) for a given sum of n (Lagrange multiplier).
+    Minimises the sum of magnitude² / n^(2 / power - 1) for a given sum of n (Lagrange multiplier), power
+    being `tuning.MAGNITUDE_POWER`.
     """
     if not len(magnitude):
         return np.zeros(0, np.int64)
-    fewest = min(fewest, 1 << (average.bit_length() - 1))
-    most = 1 << min((LARGEST_SHARE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
+    fewest = min(fewest or tuning.FEWEST_SAMPLES, 1 << (average.bit_length() - 1))
+    most = 1 << min((tuning.LARGEST_MULTIPLE * average).bit_length() - 1, LARGEST_NUMBER_BITS)
     with np.errstate(divide="ignore"):
         # Of zero: minus infinity, which gets the fewest.
-        wanted = power * np.log2(np.asarray(magnitude, np.float64))
+        wanted = tuning.MAGNITUDE_POWER * np.log2(np.asarray(magnitude, np.float64))
     if not np.isfinite(wanted).any():
         return np.full(len(wanted), average, np.int64)
     ranked = np.sort(wanted)
@@ -137,8 +133,8 @@ def allocate(
     numbers = np.exp2(levels)
 
     def mean(shift: float) -> float:
-        """Of the numbers of samples where the logarithms of the weights are shifted."""
-        # Points up to the middle between two levels, in logarithms, belong to the lower one.
+        """Mean number of samples a point if all logarithms of weights are shifted by this."""
+        # A point takes the nearest level, in logarithms.
         ends = np.searchsorted(ranked, levels[:-1] + 0.5 - shift, side="left")
         return float(np.diff(ends, prepend=0, append=len(ranked)) @ numbers) / len(ranked)
 

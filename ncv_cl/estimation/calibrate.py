@@ -1,4 +1,4 @@
-"""The variance of estimates whose samples are not independent, from points that are estimated twice."""
+"""Variances of estimates from stratified samples, calibrated by points that are estimated twice."""
 
 from __future__ import annotations
 
@@ -8,47 +8,36 @@ import numpy as np
 
 from ..points.sampler import HostStream, host_generator
 from ..sampling.accumulate import Estimate
+from . import tuning
 
-# Points that are estimated a second time: a share of all, within bounds.
-TWICE_SHARE = 1 / 32
-FEWEST_TWICE, MOST_TWICE = 256, 4096
-# Of a small image no larger share than this.
-LARGEST_TWICE_SHARE = 1 / 4
-# Values that a point of the variance's curve is estimated from, at least; points of the curve, at most.
-VALUES_A_CLASS = 96
-MOST_CLASSES = 16
-# A prior of the variance counts as much as so many samples.
-PRIOR_SAMPLES = 12
-# What neighbours say is a mean over so many sub-pixels to each side.
-LOCAL_RADIUS = 3
-# Of what is expected of a point's error, the part that its own halves say; the rest is its neighbours'.
-OWN_SHARE = 0.3
 # Stands for a ratio of zero, which has no logarithm.
-SMALLEST_RATIO = 1e-9
+LEAST_RATIO = 1e-9
 
 
 def points_done_twice(points: int, seed: int) -> np.ndarray:
     """Indices of the points to estimate a second time, uint32, sorted; at random."""
-    wanted = np.clip(points * TWICE_SHARE, FEWEST_TWICE, MOST_TWICE)
-    count = max(min(points, 1), int(min(wanted, points * LARGEST_TWICE_SHARE)))
+    wanted = np.clip(points * tuning.TWICE_SHARE, tuning.FEWEST_TWICE, tuning.MOST_TWICE)
+    count = max(min(points, 1), int(min(wanted, points * tuning.LARGEST_TWICE_SHARE)))
     generator = host_generator(seed, HostStream.POINTS_DONE_TWICE)
     return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
 
 
 def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Mean of `values` (points,) over the points within `LOCAL_RADIUS` sub-pixels, along both axes.
+    """Mean of `values` (points,) over the points within so many sub-pixels, along both axes.
 
-    `cell` are the points' sub-pixels, row-major on a grid of `rows` x `columns`. A few samples may
-    have missed what a point's neighbours saw. Values that are NaN do not count; zero where all are.
+    `cell` holds the points' sub-pixels, row-major on a grid of `rows` x `columns`. Neighbours help where
+    a point's few samples missed what theirs saw. NaN values do not count; the mean is 0 where all are
+    NaN.
     """
     known = ~np.isnan(values)
-    planes = np.zeros((2, rows + 2 * LOCAL_RADIUS + 1, columns + 2 * LOCAL_RADIUS + 1))
+    radius = tuning.LOCAL_RADIUS
+    planes = np.zeros((2, rows + 2 * radius + 1, columns + 2 * radius + 1))
     row, column = cell // columns, cell % columns
-    planes[0, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = np.where(known, values, 0.0)
-    planes[1, row + LOCAL_RADIUS + 1, column + LOCAL_RADIUS + 1] = known
+    planes[0, row + radius + 1, column + radius + 1] = np.where(known, values, 0.0)
+    planes[1, row + radius + 1, column + radius + 1] = known
     # Sums over boxes as differences of sums over all that lies above and to the left.
     sums = planes.cumsum(axis=1).cumsum(axis=2)
-    width = 2 * LOCAL_RADIUS + 1
+    width = 2 * radius + 1
     boxes = (
         sums[:, width:, width:]
         - sums[:, :-width, width:]
@@ -62,12 +51,12 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
 def calibrate(
     first: Estimate, second: Estimate, twice: np.ndarray, expected: np.ndarray, repeated: np.ndarray
 ) -> Estimate:
-    """One estimate of both, with a variance that holds for stratified samples.
+    """Merge two estimates into one, with a variance that holds for stratified samples.
 
     Half the squared difference of two independent estimates of a point is an unbiased estimate of their
-    variance, but one number is a poor one. So it is averaged over points for which about the same
-    variance was expected: classes of neighbours in that order, between whose middles the ratio of
-    measured to expected is interpolated.
+    variance, but a single one is very noisy. So points are sorted by their expected variance and cut
+    into classes; each class gives one ratio of measured to expected variance. Between the classes'
+    middles the ratio is interpolated, and every point's expected variance is multiplied by it.
 
     Parameters
     ----------
@@ -78,20 +67,20 @@ def calibrate(
     twice : ndarray
         uint32.
     expected : ndarray
-        (channels, points), what is expected of the first estimate's variance, up to a factor that may
-        depend on it: `steadied` or `halves`.
+        (channels, points), the first estimate's expected variance, from `steadied` or `halves`. Only its
+        order and its ratios within a class matter.
     repeated : ndarray
         (channels, points done twice), the same of the second estimate.
     """
     difference = first.mean[:, twice] - second.mean[:, twice]
     measured = 0.5 * difference**2
-    # What fewer than two samples say of a point is not taken for its variance.
+    # With fewer than two samples a point has no variance of its own.
     expected = np.where(first.known, expected, np.nan)
     both = 0.5 * (expected[:, twice] + repeated)
     if np.any(both > 0):
         found = expected * _ratio_curve(both.ravel(), measured.ravel(), expected)
     else:
-        # No point's own samples differ, its two estimates may.
+        # Even if no point's samples differ, its two estimates may.
         found = np.where(np.isnan(expected), np.nan, measured.mean())
     mean, variance, samples = first.mean.copy(), found, first.samples.copy()
     mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
@@ -101,10 +90,11 @@ def calibrate(
 
 
 def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """What to expect of the variance of `mean`, of all samples, from that of a `part` of them.
+    """Expected variance of `mean`, from its difference to the mean of a `part` of the samples.
 
-    Up to a factor that all points share, the squared difference of two parts of a point's samples is an
-    estimate of its variance however its samples are spread; that of its neighbours steadies it.
+    Up to a factor that all points share, the squared difference between parts of a point's samples
+    estimates its variance, for any sampler. It is averaged with its neighbours', which makes it less
+    noisy.
 
     Parameters
     ----------
@@ -115,13 +105,14 @@ def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, r
     """
     squares = (mean - part) ** 2
     near = np.stack([local_mean(row, cell, columns, rows) for row in squares])
-    return OWN_SHARE * squares + (1 - OWN_SHARE) * near
+    return tuning.OWN_SHARE * squares + (1 - tuning.OWN_SHARE) * near
 
 
 def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
-    """Variances of single samples, (channels, points), each with the prior's mixed in.
+    """Variances of single samples, (channels, points), each averaged with the prior.
 
-    Where there are few samples their variance is itself uncertain; with fewer than two it stays unknown.
+    The variance of few samples is itself uncertain, so the prior counts as `PRIOR_SAMPLES` more. With
+    fewer than two samples it stays unknown.
 
     Parameters
     ----------
@@ -134,7 +125,7 @@ def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
     squares = np.where(estimate.known, estimate.variance * degrees, 0.0)
     scale = squares.sum(axis=1) / max(np.sum(prior * degrees), 1e-300)
     expected = scale[:, None] * prior
-    found = (squares + PRIOR_SAMPLES * expected) / (degrees + PRIOR_SAMPLES)
+    found = (squares + tuning.PRIOR_SAMPLES * expected) / (degrees + tuning.PRIOR_SAMPLES)
     return np.where(estimate.known, found, np.nan)
 
 
@@ -142,12 +133,14 @@ def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) 
     """The ratio measured / expected as a function of expected, evaluated at `where`."""
     positive = np.flatnonzero(expected > 0)
     ranked = positive[np.argsort(expected[positive], kind="stable")]
-    classes = np.array_split(ranked, int(np.clip(len(ranked) // VALUES_A_CLASS, 1, MOST_CLASSES)))
+    number = np.clip(len(ranked) // tuning.VALUES_A_CLASS, 1, tuning.MOST_CLASSES)
+    classes = np.array_split(ranked, int(number))
     sums = np.array([expected[one].sum() for one in classes])
-    # Where a class lies is weighted as its sum is, or steep curves would be read at the wrong place.
+    # The middle of a class is the mean logarithm weighted by the expected variance, as its sum is; else
+    # steep curves would be read at the wrong place.
     middle = np.array([(expected[one] @ np.log(expected[one])) for one in classes]) / sums
     ratios = np.array([measured[one].sum() for one in classes]) / sums
     # Straight between logarithms, constant beyond the first and the last class.
-    logarithms = np.log(np.maximum(ratios, SMALLEST_RATIO))
+    logarithms = np.log(np.maximum(ratios, LEAST_RATIO))
     places = np.log(np.maximum(where, np.exp(middle[0] - 1)))
     return np.exp(np.interp(places, middle, logarithms))

@@ -32,9 +32,9 @@ class ControlVariate:
     integral : ndarray
         float32 (channels, points), G of each active point.
     density : Density, optional
-        Where the residual is.
-    learned : DensityNetwork, optional
-        What predicts it.
+        Where in the square the residual is large, and its mean: sampling density and magnitude.
+    density_network : DensityNetwork, optional
+        The network that predicts `density`.
     alpha : ndarray, optional
         float32 (channels, points), the control coefficients that are folded in; None: 1 everywhere.
     """
@@ -42,7 +42,7 @@ class ControlVariate:
     folded: FoldedNetwork
     integral: np.ndarray
     density: Density | None
-    learned: DensityNetwork | None
+    density_network: DensityNetwork | None
     alpha: np.ndarray | None = None
 
 
@@ -53,8 +53,9 @@ class Trained:
     Attributes
     ----------
     network : Network
-    density : DensityNetwork, optional
-        What predicts its residual; None: learned from `samples`, if there are any.
+    density_network : DensityNetwork, optional
+        The network that predicts its residual's magnitude; None: learned from `samples`, if there are
+        any.
     alpha : ndarray, optional
         float32 (channels, points), control coefficients; None: found from `samples`, if there are any.
     samples : TrainingSamples, optional
@@ -62,7 +63,7 @@ class Trained:
     """
 
     network: Network
-    density: DensityNetwork | None = None
+    density_network: DensityNetwork | None = None
     alpha: np.ndarray | None = None
     samples: TrainingSamples | None = None
 
@@ -79,7 +80,8 @@ def control_variate(
     Parameters
     ----------
     save : callable
-        Keeps the network with these arrays of its density, before anything else can fail.
+        Called with the arrays of the density network once it is trained: writes the network's file
+        before a later stage can fail.
     """
     try:
         return _made(problem, settings, run, trained, save)
@@ -101,37 +103,37 @@ def _made(
         folded = FoldedNetwork(problem.device, network, points, factor)
     alpha = trained.alpha
     with run.watch("alpha"):
-        # A list of points has no neighbours to pool samples with.
+        # Only an image has neighbouring points to pool samples with.
         if samples is not None and alpha is None and problem.is_image and can_scale(folded):
             alpha = control_coefficients(folded, samples, points, settings.columns)
         if alpha is not None:
             scale(folded, alpha)
     run.clock.check()
-    learned, density = trained.density, None
+    density_network, density = trained.density_network, None
     if settings.needs_magnitude:
         with run.watch("density"):
             unit = problem.means.read().mean(axis=0) if problem.demodulated else None
-            if samples is not None and learned is None:
-                learned = _learned_density(problem, run, folded, samples, unit)
-            if learned is not None:
-                density = tabulate(problem.device, learned, network, points, unit)
-    save(network, learned.arrays() if learned is not None else {})
+            if samples is not None and density_network is None:
+                density_network = _density_network(problem, run, folded, samples, unit)
+            if density_network is not None:
+                density = tabulate(problem.device, density_network, network, points, unit)
+    save(network, density_network.arrays() if density_network is not None else {})
     with run.watch("integrate"):
         integral = integrals_of(problem.device, folded, points.active)
-    return ControlVariate(folded, integral, density, learned, alpha)
+    return ControlVariate(folded, integral, density, density_network, alpha)
 
 
-def _learned_density(
+def _density_network(
     problem: Problem, run: Run, folded: FoldedNetwork, samples: TrainingSamples, unit: np.ndarray | None
 ) -> DensityNetwork:
-    """The magnitude of what `folded` leaves of the training samples, in units of `unit`."""
+    """Train a network for the residual's magnitude, in units of `unit`, on the training samples."""
     unit = np.ones(problem.points.active, np.float32) if unit is None else unit
     check = None if run.clock.limit is None else run.clock.check
     return DensityTrainer(problem.device, folded, samples, unit).fit(check)
 
 
 def idle(variate: ControlVariate, points: int) -> dict[str, object]:
-    """What of the network `points` points do not need; see `idle_neurons`.
+    """Which parts of the network the points do not need, for the statistics; see `idle_neurons`.
 
     ``networks`` are points whose control coefficients are all zero: neither integrated nor evaluated.
     """
@@ -142,7 +144,7 @@ def idle(variate: ControlVariate, points: int) -> dict[str, object]:
 
 
 def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
-    """How many first-layer neurons need no line in the square: shares over some of the points.
+    """How many first-layer neurons have no line in the unit square, over a choice of the points.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The passes of a render: allocation, samples, and their end."""
+"""The passes of a render: allocate samples, draw them, and stop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .stopping import ErrorTarget, Stopping
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the passes leave.
+    """The result of the passes.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ def begin(
     allocation: Allocation,
     done: list[int] | None = None,
 ) -> ImageEstimate:
-    """An image's estimates without a sample yet.
+    """Estimates of an image, before the first sample.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def draw(
     target: ErrorTarget,
     after_pass: Callable[[], None],
 ) -> str:
-    """Draw the passes that are not done, until there is enough; returns why they ended.
+    """Draw the remaining passes until a condition ends them; returns which one (`Drawn.ended_by`).
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def draw(
 
 
 def finish(image_estimate: ImageEstimate, allocation: Allocation, ended_by: str) -> Drawn:
-    """The final estimates; what only drawing needed is let go of."""
+    """The final estimates; memory that only drawing needs is freed."""
     twice = len(image_estimate.twice)
     plain, residual = image_estimate.end()
     return Drawn(plain, residual, allocation, ended_by, twice)

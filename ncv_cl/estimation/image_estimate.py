@@ -1,4 +1,4 @@
-"""The estimates of one image under way: of all points, and once more of some, for the variance."""
+"""The estimates of one image between passes: of all points, and again of some."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class ImageEstimate:
     folded : FoldedNetwork, optional
         The control variate.
     density : Density, optional
-        Where its residual is.
+        Where its residual is large.
     watch : Stopwatch
 
     Attributes
     ----------
     passes : Passes
     done : int
-        How many of them.
+        Passes done.
     twice : ndarray
         uint32, the points that are estimated twice.
     """
@@ -70,7 +70,8 @@ class ImageEstimate:
         )
         targets = [Target(self._first, allocation, once)]
         self.twice = np.empty(0, np.uint32)
-        # Independent samples tell their variance themselves; others need points that are done twice.
+        # The variance of independent samples follows from the samples; stratified ones need points that
+        # are estimated twice.
         if points.active and settings.sampling.sampler != "independent":
             self.twice = points_done_twice(points.active, settings.seed)
             self._second = Accumulator(device, points, channels, folded, self.twice)
@@ -80,17 +81,19 @@ class ImageEstimate:
         if density is not None and folded is not None:
             warp = _warp(device, settings.residual_density, folded, density)
         self.passes = Passes(problem, targets, edges, warp, watch, self._keep_parts)
-        # Means after the last powers of two of passes: parts of what there is.
+        # The means after the last two pass numbers that are powers of two.
         self.parts: list[np.ndarray] = []
         self.done = 0
         self._warp = warp
-        # By a density samples lie where errors are, and their variance tells these well.
+        # Samples that follow a density lie where the residual is large, so their own variance predicts
+        # errors well, and halves are not needed.
         self._looks_at_parts = self._second is not None and warp is None
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g.
 
-        The image is made of the last one, which alone has points done twice in its mean and variance.
+        The image is made of the last one. Only in that one the points that are estimated twice have both
+        estimates merged, and variances are calibrated.
         """
         final = self._final()
         if self._first.quantities == 1:
@@ -98,7 +101,7 @@ class ImageEstimate:
         return [replace(self._first.result(), samples=final.samples), final]
 
     def _final(self) -> Estimate:
-        """Of what the image is made of, with the variance that its mean has."""
+        """The estimate that the image is made of, with the calibrated variance of its mean."""
         quantity = self._first.quantities - 1
         first = self._first.result(quantity)
         if not self._points.active:
@@ -107,7 +110,7 @@ class ImageEstimate:
         if self._second is None:
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
         second = self._second.result(quantity)
-        # The last one may be all there is.
+        # If the last kept mean is that of all samples, the one before it is the part.
         parts = self.parts[:-1] if _is_power_of_two(self.done) else self.parts
         if parts:
             expected = halves(first.mean, parts[-1][quantity], *self._grid)
@@ -122,7 +125,7 @@ class ImageEstimate:
     def end(self) -> tuple[Estimate, Estimate | None]:
         """The final estimates of f and of f - g, if there is a control variate.
 
-        What only drawing samples needs is let go of before.
+        Frees what only drawing needs, before the memory for the result is taken.
         """
         del self.passes
         self._warp = None
@@ -133,7 +136,7 @@ class ImageEstimate:
         return results[0], results[1] if len(results) > 1 else None
 
     def _keep_parts(self, done: int) -> None:
-        """Keep the means after the last two powers of two of passes."""
+        """Keep the means after the last two pass numbers that are powers of two."""
         self.done = done
         if self._looks_at_parts and _is_power_of_two(done):
             self.parts = [*self.parts[-1:], self._first.means()]
@@ -145,7 +148,7 @@ class ImageEstimate:
         return self._points.cell[: self._points.active], settings.columns, settings.rows
 
     def _prior(self, estimate: Estimate) -> np.ndarray:
-        """What to expect of the variance of a point's sample, up to a factor: (points,)."""
+        """Expected variance of a point's sample, up to a factor that all points share: (points,)."""
         variance = estimate.variance.sum(axis=0)
         prior = local_mean(variance, *self._grid)
         if self._magnitude is None:
@@ -154,7 +157,7 @@ class ImageEstimate:
         return prior / max(prior.mean(), 1e-300) + predicted / max(predicted.mean(), 1e-300)
 
     def warm_up(self) -> None:
-        """Compile what passes run: compilation would be taken for what samples cost."""
+        """Compile the kernels of a pass, so that the first pass's seconds say what samples cost."""
         device, source = self._problem.device, self._problem.source
         rays = replace(source.rays)
         accumulator = Accumulator(device, self._points, source.channels, self._first.network)
@@ -165,7 +168,7 @@ class ImageEstimate:
 
     @property
     def follows_density(self) -> bool:
-        """Whether samples go where a learned density says, and not everywhere alike."""
+        """Whether samples follow a learned density, or else are uniform."""
         return self._warp is not None
 
     @property
@@ -174,11 +177,11 @@ class ImageEstimate:
         return float(self._first.samples.sum())
 
     def finds_something(self) -> bool:
-        """Whether an estimate of any point is not zero."""
+        """Whether any point's estimate is not zero."""
         return bool(self._first.means().any())
 
     def image_error(self) -> float:
-        """The mean square error of the image's pixels so far, as its variances say; NaN: not known."""
+        """The image's mean square error so far, from its variances; NaN: not known."""
         variance = self._final().variance_of_mean
         settings = self._settings
         # Errors of a pixel's points are independent; one channel stands for all three.
@@ -210,7 +213,7 @@ class ImageEstimate:
 
 
 def _warp(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:
-    """What draws samples by a density of this kind."""
+    """The `Warp` that draws samples by a density of this kind."""
     if kind == "subdivision":
         return TriangleWarp(device, folded, density)
     return TableWarp(density.table) if kind == "table" else None

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import math
+
+from ..integrands import Integrand
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
-from .tuning import NESTED_SAMPLES_THAT_PAY, SAMPLES_THAT_PAY
+from . import tuning
+
+
+def kind_of(integrand: Integrand, sampler: str) -> str:
+    """The name of the number in tuning.py from which on a control variate pays.
+
+    The error of independent samples, and of paths, which add noise of their own, falls no faster than by
+    one over the number of samples: a smaller variance soon pays. Sobol points do better, and best where
+    rays end on the lights: testing these is cheap, and most points see all of a light or nothing of it.
+    """
+    if integrand.nested or sampler == "independent":
+        return "NOISY_SAMPLES_THAT_PAY"
+    return "LIGHT_SAMPLES_THAT_PAY" if integrand.to_lights else "SAMPLES_THAT_PAY"
 
 
 def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
-    """ "ncv" from so many samples of the image on, else "mc"; and why.
+    """The method, "ncv" if the image has enough samples, else "mc"; and why, in words.
 
     Training takes about the same time for every image, and what it takes off grows with the samples.
-    Thresholds are those that ``python bench/bench_method.py`` prints.
     """
+    kind = kind_of(settings.integrand, settings.sampling.sampler)
+    enough = getattr(tuning, kind)
+    if enough == math.inf:
+        return "mc", "direct light by Sobol points has too little noise for a control variate to pay"
     samples = float(settings.spp) * problem.points.active
-    nested = settings.integrand.nested
-    enough = NESTED_SAMPLES_THAT_PAY if nested else SAMPLES_THAT_PAY
-    kind = "samples with paths behind them" if nested else "samples"
+    words = "noisy samples" if kind.startswith("NOISY") else "samples"
     side = "at least" if samples >= enough else "less than"
-    return "ncv" if samples >= enough else "mc", f"{samples:.3g} {kind} are {side} {enough:.3g}"
+    return "ncv" if samples >= enough else "mc", f"{samples:.3g} {words} are {side} {enough:.3g}"

@@ -1,4 +1,4 @@
-"""Drawing what was allocated, pass after pass."""
+"""Passes: each draws the same share of every point's allocated samples."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..sampling.warp import Warp
 from ..settings.settings import Settings
 from .allocate import Allocation
 
-# Samples of a short pass in all: small parts of a second, and many enough to keep a device busy.
+# Samples in all of a short pass: it takes a small part of a second, and still keeps a device busy.
 SHORT_PASS, SHORT_NESTED_PASS = 1 << 17, 1 << 15
 
 
@@ -31,9 +31,10 @@ class Target(NamedTuple):
 
 
 def pass_edges(samples: int, samples_a_pass: int) -> list[int]:
-    """Where passes begin and end, in samples a point: all of one length, but for the last.
+    """Where passes begin and end, in samples a point: all of the same length but the last.
 
-    There are two at least, where there are samples for it: by how far they differ the error is known.
+    There are at least two passes if there are two samples a point, because the difference between parts
+    of the samples tells the error.
     """
     edges = [*range(0, samples, samples_a_pass), samples]
     if len(edges) > 2 and edges[-1] - edges[-2] < samples_a_pass / 2:
@@ -50,8 +51,8 @@ def shortest_pass(settings: Settings, points: int) -> int:
 def short_pass_edges(samples: int, samples_a_pass: int, shortest: int) -> np.ndarray:
     """As `pass_edges`, int64, for renders that must end in time: short passes at first.
 
-    None is longer than a sixteenth of all before it, or than `shortest` where that is more, so that
-    what a pass takes is known from the one before and little time is left unused.
+    No pass is longer than a sixteenth of all before it, or than `shortest` if that is more. So the
+    seconds of the pass before predict those of the next, and little of the time limit is left unused.
     """
     head = [0]
     while head[-1] < samples:
@@ -70,7 +71,7 @@ def edges_of(settings: Settings, points: int, done: Sequence[int] | None = None)
     Parameters
     ----------
     done : sequence of int, optional
-        Those of the passes that a checkpoint holds.
+        The edges of the passes that a checkpoint holds.
     """
     if settings.stopping.time_limit is None:
         edges: Sequence[int] = pass_edges(settings.spp, SAMPLES_A_PASS)

@@ -1,4 +1,4 @@
-"""Plain Monte Carlo that spends samples by what a pilot of them says of each point's variance."""
+"""A pilot for plain Monte Carlo: its samples tell how to allocate the others."""
 
 from __future__ import annotations
 
@@ -9,21 +9,18 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
+from . import tuning
 from .allocate import Allocation, allocate
 from .passes import Passes, Target, short_pass_edges, shortest_pass
-
-# Samples a point that the points' variances are learned from, at most, and as a part of all.
-PILOT_SAMPLES = 64
-PILOT_SHARE = 1 / 4
 
 
 def pilot_samples(spp: int) -> int:
     """Samples a point of the pilot of `spp` in all."""
-    return max(1, min(PILOT_SAMPLES, int(spp * PILOT_SHARE)))
+    return max(1, min(tuning.PILOT_SAMPLES, int(spp * tuning.PILOT_SHARE)))
 
 
 def draw_pilot(problem: Problem, settings: Settings, run: Run) -> Estimate:
-    """Of f, from samples that the passes do not draw again; with a time limit fewer, if it is short."""
+    """Estimate f from a stream of samples of its own; a short time limit may end it early."""
     points, samples = problem.points, pilot_samples(settings.spp)
     accumulator = Accumulator(problem.device, points, problem.source.channels)
     everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
@@ -37,10 +34,10 @@ def draw_pilot(problem: Problem, settings: Settings, run: Run) -> Estimate:
 
 
 def allocate_by_pilot(pilot: Estimate, spp: int) -> Allocation:
-    """What is left of `spp` samples a point, by the deviations that `pilot` saw."""
+    """Allocate the rest of `spp` samples a point, by the standard deviations that the pilot saw."""
     samples = int(pilot.samples.max())
-    # What the pilot did not see may still be there: no point is left to much fewer samples.
+    # The pilot may have missed a point's variance, so no point gets much fewer samples than the average.
     fewest = 1 << (samples.bit_length() - 1)
-    # One sample says nothing of them: all alike.
+    # One sample has no deviation: all points get the same.
     deviation = np.sqrt(np.nan_to_num(pilot.variance.sum(axis=0)))
     return Allocation.of_counts(allocate(deviation, max(1, spp - samples), fewest))

@@ -1,4 +1,4 @@
-"""What a render does, decided from what is known before its first sample."""
+"""The plan of a render, made from what is known before the first sample."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def make_plan(problem: Problem, settings: Settings, wants_network: bool = False)
     Parameters
     ----------
     wants_network : bool
-        Whether somebody gives a network, or wants to have one.
+        Whether a network is given, or is to be saved.
     """
     if not problem.points.active:
         return Plan(settings.planned("mc"), "no point is lit")

@@ -1,4 +1,4 @@
-"""When a render has enough: its target, its time, or somebody asks it to end."""
+"""When a render ends before its samples are drawn: error reached, time over, or asked to stop."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import time
 from ..host.clock import Run
 from .image_estimate import ImageEstimate
 
-# An error estimate is believed when so many samples of the image are to be expected on every light.
-# They are then enough for each light's part of the error, which is a mean over the image; with less, a
-# light that few samples go to may not have been seen at all.
+# An error estimate is believed only when every light is expected to have got this many of the image's
+# samples. With fewer, a light that few samples go to may have been missed altogether, and with it its
+# part of the error.
 FEWEST_ON_A_LIGHT = 4096
 
 
@@ -21,9 +21,9 @@ class ErrorTarget:
     mse : float, optional
         None: never reached.
     narrowest : float
-        Part of the square that the light with the least of it has, as `Problem` says.
+        Width of the narrowest light's strip of the square (`Problem.narrowest`).
     uniform_share : float
-        Part of the samples that are spread over all of the square.
+        Part of the samples that are uniform over the square.
     """
 
     def __init__(self, mse: float | None, narrowest: float, uniform_share: float) -> None:
@@ -31,12 +31,12 @@ class ErrorTarget:
         self._fewest = FEWEST_ON_A_LIGHT / (narrowest * uniform_share)
 
     def reached(self, image_estimate: ImageEstimate) -> bool:
-        """Whether the error is the target or less, by an estimate of it that can be believed."""
+        """Whether a credible estimate of the error is at most the target."""
         if self.mse is None or image_estimate.samples < self._fewest:
             return False
-        # NaN, not known, is no such number.
+        # The error is NaN where it is not known: then it is not reached.
         error = image_estimate.image_error()
-        # Where nothing but zeros was found, what there is has not been found yet.
+        # An image of nothing but zeros has an error of 0, because no light was found yet.
         return error <= self.mse and (error > 0.0 or image_estimate.finds_something())
 
 

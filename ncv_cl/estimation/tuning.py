@@ -1,6 +1,47 @@
-"""Numbers that were measured; each names the script that finds it again."""
+"""Numbers of the estimate that were measured; each names the script that finds it again.
+
+``python bench/bench_tuning.py NAME`` prints what other values do to error times processor time.
+"""
+
+from __future__ import annotations
+
+import math
 
 # Samples of an image from which on a control variate reaches plain Monte Carlo's error sooner, training
 # included: python bench/bench_method.py.
-SAMPLES_THAT_PAY = 3e7
-NESTED_SAMPLES_THAT_PAY = 2e6
+SAMPLES_THAT_PAY = 1 << 22
+NOISY_SAMPLES_THAT_PAY = 1 << 20
+LIGHT_SAMPLES_THAT_PAY = math.inf
+
+# Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
+# spread ones, whose error falls faster than 1 / n, a little less: python bench/bench_tuning.py
+# MAGNITUDE_POWER.
+MAGNITUDE_POWER = 0.9
+# A point whose residual is predicted to be nothing still gets so many, a power of two: predictions are
+# not certainties. No point gets more than this multiple of the average: python bench/bench_tuning.py
+# FEWEST_SAMPLES LARGEST_MULTIPLE.
+FEWEST_SAMPLES = 4
+LARGEST_MULTIPLE = 64
+# Samples a point that the points' variances are learned from, at most, and as a part of all: python
+# bench/bench_tuning.py PILOT_SAMPLES PILOT_SHARE.
+PILOT_SAMPLES = 64
+PILOT_SHARE = 1 / 4
+
+# Points that are estimated a second time: a share of all, within bounds, and of a small image no larger
+# share than the last: python bench/bench_tuning.py TWICE_SHARE FEWEST_TWICE MOST_TWICE
+# LARGEST_TWICE_SHARE prints how well variances fit the errors.
+TWICE_SHARE = 1 / 32
+FEWEST_TWICE = 256
+MOST_TWICE = 4096
+LARGEST_TWICE_SHARE = 1 / 4
+# Values that a point of the variance's curve is estimated from, at least; points of the curve, at most:
+# python bench/bench_tuning.py VALUES_A_CLASS MOST_CLASSES.
+VALUES_A_CLASS = 96
+MOST_CLASSES = 16
+# A prior of the variance counts as much as so many samples: python bench/bench_tuning.py PRIOR_SAMPLES.
+PRIOR_SAMPLES = 12
+# What neighbours say is a mean over so many sub-pixels to each side; and of what is expected of a
+# point's error, the part that its own halves say, the rest being its neighbours': python
+# bench/bench_tuning.py LOCAL_RADIUS OWN_SHARE.
+LOCAL_RADIUS = 3
+OWN_SHARE = 0.3

@@ -1,1 +1,1 @@
-"""What the machine gives beside OpenCL: caches, files, signals, terminals, clocks."""
+"""Caches, files, signals, terminals, clocks: what the machine gives beside OpenCL."""

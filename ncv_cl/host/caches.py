@@ -1,6 +1,6 @@
-"""Where caches may be written: ours, pyopencl's and PoCL's; and what to do where nothing may be.
+"""Which cache folders are writable (ours, pyopencl's, PoCL's), and what to do where none is.
 
-A home that is missing, read-only or somebody else's costs time, never a render.
+A home that is missing, read-only or somebody else's makes a render slower, but does not make it fail.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def cache_folder(name: str) -> Path | None:
 
 
 def prepare_caches() -> None:
-    """Turn off or move what could not be written; to be called before runtimes are loaded."""
+    """Turn off or move the caches that cannot be written. Call this before a runtime is loaded."""
     _prepare_pyopencls()
     _prepare_pocls()
 
 
 def _prepare_pyopencls() -> None:
-    """pyopencl keeps binaries, and in a database of pytools how kernels are called."""
+    """pyopencl keeps compiled programs, and in a database of pytools its generated call code."""
     if all(_writable(cache_folder(name)) for name in ("pytools", "pyopencl")):
         try:
             importlib.import_module("pyopencl.invoker")
@@ -44,12 +44,12 @@ def _prepare_pyopencls() -> None:
         except (OSError, sqlite3.Error):
             # A database that is damaged, or on a disk that is full.
             pass
-    # What PYOPENCL_NO_CACHE sets, which is read only when pyopencl is imported.
+    # The variable PYOPENCL_NO_CACHE sets this too, but it is read only when pyopencl is imported.
     cl._PYOPENCL_NO_CACHE = True
 
 
 def _prepare_pocls() -> None:
-    """PoCL has no device where it cannot write, so it gets a folder that goes with the process."""
+    """PoCL offers no device where it cannot write: give it a folder until the process ends."""
     named = os.environ.get(_POCLS_VARIABLE)
     folder = Path(named) if named else cache_folder("pocl")
     if _writable(folder):
@@ -62,7 +62,7 @@ def _prepare_pocls() -> None:
     owner = os.getpid()
 
     def remove() -> None:
-        # A forked process ends without taking its parent's folder along.
+        # A forked process must not remove its parent's folder when it ends.
         if os.getpid() == owner:
             shutil.rmtree(temporary, ignore_errors=True)
 
@@ -70,16 +70,16 @@ def _prepare_pocls() -> None:
 
 
 def _writable(folder: Path | None) -> bool:
-    """Whether files can be made in a folder, and those that are there be changed."""
+    """Whether new files can be made in a folder and the existing ones changed."""
     if folder is None:
         return False
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
-            # Asks for space as well.
+            # Fails on a full disk, which creating a file does not.
             file.write(bytes(4096))
             file.flush()
-        # Other processes may take theirs away meanwhile.
+        # Another process may have deleted a file since it was listed.
         return all(os.access(path, os.W_OK) or not path.exists() for path in folder.iterdir())
     except OSError:
         return False

@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-# Part of a time limit by which training, and a first pass or pilot, must be through.
+# Shares of a time limit by which training, and a pilot, must have ended.
 TRAINING_SHARE = 0.5
 FIRST_SHARE = 0.25
-# Steps of training between two looks at it.
+# Adam steps between two checks of the time limit.
 CHECKED_STEPS = 32
 
 
 class OutOfTime(Exception):
-    """A stage that cannot leave anything behind has reached its part of the time limit."""
+    """A stage whose partial result is of no use has reached its share of the time limit."""
 
 
 class Clock:

@@ -1,4 +1,4 @@
-"""What the command line says, and how it ends: one line for what went wrong."""
+"""Output of the command line, and its exit status: every error is one line."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from collections.abc import Callable
 
 import pyopencl as cl
 
-# What people can cause. All else is a fault of ours, and says so.
+# Errors that input can cause. Any other exception is a bug, and its message says so.
 EXPECTED = (ValueError, OSError, RuntimeError, MemoryError, ArithmeticError, cl.Error)
-# Most of a message that is printed: build logs are long.
+# Characters of a message that are printed at most: build logs are long.
 LONGEST = 2000
 INTERRUPTED = 130
 
 
 def run(command: Callable[[], int]) -> int:
     """The exit status of a command: its own, or 2 after one line that says what is wrong."""
-    # Where these were closed before we began, the next files opened would be taken for them.
+    # If these were closed when the program started, the next two files opened would get their numbers.
     sys.stdout, sys.stderr = (one or open(os.devnull, "w") for one in (sys.stdout, sys.stderr))  # noqa: SIM115
-    # What a terminal cannot show must not cost what was made.
+    # A character that the terminal cannot show must not raise an error.
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -46,7 +46,7 @@ def run(command: Callable[[], int]) -> int:
 
 
 def say(text: str) -> None:
-    """Print, and know that it has arrived.
+    """Print and flush.
 
     Raises
     ------
@@ -56,14 +56,14 @@ def say(text: str) -> None:
     try:
         print(text, flush=True)
     except OSError as error:
-        # What is left in the buffer would fail again when Python ends.
+        # Python would try to flush the rest at exit, and fail again.
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
         reason = error.strerror or error
         raise OSError(f"standard output cannot be written to: {reason}") from error
 
 
 def complain(text: str) -> None:
-    """A line on standard error, if that is still there."""
+    """Print a line on standard error, unless that is closed."""
     try:
         print(f"ncv-cl: error: {text}", file=sys.stderr, flush=True)
     except OSError:

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and read without trust in what they hold."""
+"""Files: written whole or not at all; every value that is read is checked."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-# Stands for a size that may be any.
+# In a shape: any size.
 ANY = -1
-# Of folders in which files are made, before they get their names.
+# Begins the names of temporary folders in which files are written first.
 PREFIX = ".ncv_cl-"
 
 
@@ -51,7 +51,7 @@ def check_writable(path: str | Path) -> None:
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise PermissionError(f"cannot write {path}: no permission to write in {path.parent}")
     try:
-        # What permissions do not say: read-only and full disks, folders that are none.
+        # Permissions do not show that a disk is read-only or full.
         with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent):
             pass
     except OSError as error:
@@ -61,12 +61,13 @@ def check_writable(path: str | Path) -> None:
 def check_paths(
     written: Mapping[str, str | Path | None], read: Mapping[str, str | Path | None] | None = None
 ) -> None:
-    """As `check_writable` for files of several purposes, no two of which may be the same.
+    """`check_writable` for several files, which must all differ.
 
     Parameters
     ----------
     written, read : dict
-        Paths by purpose, None where there is none. What is read must not be written over.
+        Paths by purpose, such as "checkpoint"; None for files that are not wanted. A file that is read
+        must not be overwritten.
     """
     owner = {Path(path).resolve(): purpose for purpose, path in (read or {}).items() if path is not None}
     for purpose, path in written.items():
@@ -130,7 +131,7 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except Exception as error:
-        # What a broken archive raises depends on where it is broken: a dozen classes were seen.
+        # A broken archive raises any of a dozen classes, depending on where it is broken.
         said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise ValueError(f"{path} cannot be read: {said.removeprefix('ValueError: ')}") from error
 

@@ -1,4 +1,4 @@
-"""Signals that ask a render to end: with the picture so far, not in the middle of a pass."""
+"""Signals that end a render after the pass under way, with the picture so far."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class StopOnSignal:
-    """While its block lasts, one signal asks for the end after the pass under way; two end at once.
+    """While its block lasts, a first signal ends the render after this pass, a second one at once.
 
-    Signals that whoever started the program has told it to ignore, as `nohup` does, stay ignored. Python
-    handles signals in the main thread only, so in another one there is nothing to wait for.
+    Signals that were ignored when the program started, as under `nohup`, stay ignored. Python handles
+    signals in the main thread only; in another thread this does nothing.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class StopOnSignal:
             return self
         for number in (getattr(signal, name) for name in _NAMES if hasattr(signal, name)):
             before = signal.getsignal(number)
-            # None: a handler that is not Python's, and not ours to replace.
+            # None: the handler was not installed by Python, so it is left in place.
             if before not in (signal.SIG_IGN, None):
                 self._before[number] = before
                 signal.signal(number, self._handle)
@@ -47,7 +47,7 @@ class StopOnSignal:
         self.asked = True
         self._restore()
         again = "press Ctrl-C again" if number == signal.SIGINT else "send it again"
-        # A closed terminal takes no message, nor does a stream in the middle of another one.
+        # The terminal may be closed, or the stream in the middle of another write.
         with suppress(OSError, ValueError, RuntimeError):
             name = signal.Signals(number).name
             print(f"\n{name}: stopping after this pass; {again} to stop at once", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Integrands over primary sample space: each is one module here and one kernel file in cl/."""
+"""What is integrated: f(u, v) at a shading point, and the ray that decides its visibility."""
 
 from __future__ import annotations
 

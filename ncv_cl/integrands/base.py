@@ -1,4 +1,4 @@
-"""What the stages need to know of an integrand."""
+"""The base class of integrands: what the stages need to know of one."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..opencl.program import KernelFile, KernelText, kernel_files, source
 from ..points.points import INPUTS, ShadingPoints, surface_defines
 from ..scene.load import Scene
 
-# What a pixel can be made of.
+# Numbers of channels that an integrand may have.
 CHANNELS = (1, 3)
-# Constants that every integrand's program has from elsewhere.
+# `-D` constants that other modules set in an integrand's program.
 TAKEN = {"VEC", "LANES", "USE_FMA", *surface_defines()}
-# The kernel function that makes a file an integrand's.
+# The kernel function that an integrand's file must define.
 FUNCTION = "evaluate_integrand"
 
 
@@ -95,8 +95,8 @@ class Integrand:
         Raises
         ------
         IntegrandError
-            As `data` and `kernels` raise it, where the class does not say what it must, or where a
-            light's numbers are beyond float32: kernels take NaN for no light.
+            As `data` and `kernels` raise it; if the class lacks an attribute or has a wrong one; or if a
+            light's numbers overflow float32, since kernels take NaN for no light.
         """
         self._check_declared()
         self._check_kernels()
@@ -122,12 +122,13 @@ class Integrand:
     def point_kernel(self, scene: Scene) -> str | None:
         """The kernel of `files`, if any, that adds to every shading point what its samples share.
 
-        It takes the numbers of active points and of all, their `surface`, and `data`.
+        Its arguments are `point_count`, the active points, `total_points`, `surface` and
+        `integrand_data`, which is `data`.
         """
         return None
 
     def _check_declared(self) -> None:
-        """That the class has attributes, as they must be."""
+        """Raise if an attribute of the class is missing or wrong."""
         own = type(self).__name__
         missing = [name for name in ("name", "files", "channels", "inputs") if not hasattr(self, name)]
         if missing:
@@ -144,7 +145,7 @@ class Integrand:
             raise IntegrandError(f"{own}.inputs must hold position, are {self.inputs!r}")
 
     def _check_kernels(self) -> None:
-        """That other people's kernel files can be read, and define what is called."""
+        """Raise if a kernel file that is not the package's cannot be read, or lacks the function."""
         kernels = self.kernels()
         theirs = [file.name for file in kernels if isinstance(file, KernelText)]
         if not theirs:
@@ -177,7 +178,7 @@ class Integrand:
             raise IntegrandError(f"{own}.files: cannot read {path}: {reason}") from error
 
     def _folder(self) -> Path:
-        """Where the Python file lies that says `files`; the working directory if it was typed in."""
+        """The folder of the Python file that sets `files`; the working directory if there is none."""
         owner = next(one for one in type(self).__mro__ if "files" in vars(one))
         try:
             return Path(inspect.getfile(owner)).parent
@@ -185,7 +186,7 @@ class Integrand:
             return Path()
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray | None:
-        """Where f is zero for every (u, v), as far as that is certain without shadows.
+        """Points where f is zero for every (u, v), for reasons other than shadows.
 
         Returns
         -------
@@ -195,7 +196,7 @@ class Integrand:
         return None
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """What points on lights add by themselves, float32 (points, 3).
+        """Radiance that points on lights emit, which is added to the pixels, float32 (points, 3).
 
         Parameters
         ----------
@@ -207,7 +208,7 @@ class Integrand:
         return np.zeros((len(light), 3), np.float32)
 
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
-        """What surfaces add by themselves, float32 (points, 3).
+        """Radiance that surfaces emit, which is added to the pixels, float32 (points, 3).
 
         Parameters
         ----------

@@ -6,18 +6,9 @@ import numpy as np
 
 from ..points.points import ShadingPoints
 from ..scene.load import QuadLight, Scene
+from . import tuning
 from .base import Integrand, IntegrandError
 from .lights import emitted_by_lights, light_defines, light_records
-
-# Shares of the unit square that the lobe may have: eighths, so that strips stay on the dyadic grid. The
-# most leaves the lights an eighth: where the lobe alone does better, that costs a seventh more samples.
-LOBE_SHARES = (0.0, 0.5, 0.875)
-# There is a strip where it is predicted to divide the second moment by this: lights' samples are smooth
-# in the square, so Sobol points gain more with them than with directions, which meet a light or do not.
-LOBE_GAIN = 3.0
-# Or where a direction to a light is so many times denser in the lobe than among the light's samples:
-# these would have values that large, however little the light brings.
-LOBE_NEED = 8.0
 
 
 class DirectLight(Integrand):
@@ -43,10 +34,10 @@ class DirectLight(Integrand):
         self._check(scene)
         return {
             "CHANNELS": self.channels,
-            "LOBE_SHARE_COUNT": len(LOBE_SHARES),
-            "LOBE_GAIN": f"{LOBE_GAIN!r}f",
-            "LOBE_NEED": f"{LOBE_NEED!r}f",
-            "LOBE_SHARES": ",".join(f"{share!r}f" for share in LOBE_SHARES),
+            "LOBE_SHARE_COUNT": len(tuning.LOBE_SHARES),
+            "LOBE_GAIN": f"{tuning.LOBE_GAIN!r}f",
+            "LOBE_NEED": f"{tuning.LOBE_NEED!r}f",
+            "LOBE_SHARES": ",".join(f"{share!r}f" for share in tuning.LOBE_SHARES),
             **light_defines(scene),
             **scattering_defines(scene),
         }

@@ -14,7 +14,7 @@ class GlobalIllumination(Integrand):
     """F(p) = ∫ f_r L_i cos dω over the upper hemisphere, L_i estimated by one path, RGB.
 
     (u, v) is the direction of the first bounce, and at once a point on a light, as for `DirectLight`.
-    What arrives from that direction is a nested integral, for which a sample has one noisy estimate.
+    The light from that direction is a nested integral; each sample has one noisy estimate of it.
 
     Parameters
     ----------
@@ -22,12 +22,13 @@ class GlobalIllumination(Integrand):
         Most edges of a path from the camera to a light, as Mitsuba's path integrator counts them: 2 is
         direct light alone, 3 adds one bounce. By default Russian roulette alone ends paths.
     direct : bool
-        Whether what the area lights send to the shading points themselves is part of it.
+        Whether light that reaches the shading points directly from area lights is included.
     clamp : float, optional
-        Most that the largest channel of what one path brings may be: less noise, and too dark.
+        Upper limit of the largest channel of one path's radiance. It lowers noise, and makes the image
+        too dark.
     guided : bool
-        Whether a control variate's training also learns what guides the bounces behind the first; the
-        slides' preset never does.
+        Whether training also learns densities that guide bounces behind the first; with preset "slides"
+        it never does.
     """
 
     name = "gi"

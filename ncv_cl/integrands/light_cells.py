@@ -95,37 +95,40 @@ def scene_cells(scene: Scene, side: int) -> Cells:
         inverse = np.where(extent > 0, counts / extent, 0.0)
     lower, inverse = lower.astype(np.float32), inverse.astype(np.float32)
     normals = _unit_normals(corners)
-    triangle, sign, direction = _sides(normals)
+    triangle, axis, sign = _axes(normals)
+    ends = corners.min(axis=1), corners.max(axis=1)
     first, last = (
-        np.clip(np.floor((ends - lower) * inverse.astype(np.float64) + slack), 0, counts - 1)
-        for ends, slack in ((corners.min(axis=1), -_OVERLAP), (corners.max(axis=1), _OVERLAP))
+        np.clip(np.floor((end - lower) * inverse.astype(np.float64) + slack), 0, counts - 1)
+        for end, slack in zip(ends, (-_OVERLAP, _OVERLAP), strict=True)
     )
     item, box = _boxes_of(first[triangle].astype(np.int64), last[triangle].astype(np.int64))
-    triangle, sign, direction = triangle[item], sign[item], direction[item]
+    triangle, axis, normal = triangle[item], axis[item], (normals[triangle] * sign[:, None])[item]
     size = np.where(inverse > 0, 1.0 / np.maximum(inverse.astype(np.float64), 1e-30), 0.0)
     middle = lower + (box + 0.5) * size
     half = (0.5 + _OVERLAP) * size
     # A plane that passes by the box has nothing in it.
-    distance = ((corners[triangle, 0] - middle) * normals[triangle]).sum(axis=1)
-    reach = np.abs(normals[triangle]) @ half + _ROUNDING * np.abs(corners).max()
-    near = np.abs(distance) <= reach
-    triangle, sign, direction, box, middle, distance = (
-        array[near] for array in (triangle, sign, direction, box, middle, distance)
+    distance = ((corners[triangle, 0] - middle) * normal).sum(axis=1)
+    reach = np.abs(normal) @ half + _ROUNDING * np.abs(corners).max()
+    number = ((box[:, 2] * counts[1] + box[:, 1]) * counts[0] + box[:, 0]) * 3 + axis
+    order = np.flatnonzero(np.abs(distance) <= reach)
+    order = order[np.argsort(number[order], kind="stable")]
+    triangle, normal, middle, distance, number = (
+        array[order] for array in (triangle, normal, middle, distance, number)
     )
-    number = ((box[:, 2] * counts[1] + box[:, 1]) * counts[0] + box[:, 0]) * DIRECTIONS + direction
-    order = np.argsort(number, kind="stable")
-    triangle, sign, middle, distance = (array[order] for array in (triangle, sign, middle, distance))
-    number, starts = np.unique(number[order], return_index=True)
-    normal = normals[triangle] * sign[:, None]
-    lowest = np.maximum(corners[triangle].min(axis=1), middle - half)
-    highest = np.minimum(corners[triangle].max(axis=1), middle + half)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    lowest = np.maximum(ends[0][triangle], middle - half)
+    highest = np.minimum(ends[1][triangle], middle + half)
     least, most = np.minimum.reduceat(normal, starts), np.maximum.reduceat(normal, starts)
     places, chosen = _places(starts, len(normal), corners[triangle, 0], normal, lowest, highest)
+    # Surfaces have two sides: all but the normals is the same.
+    near, far = np.minimum.reduceat(distance, starts), np.maximum.reduceat(distance, starts)
+    number = (2 * number[starts] + np.array([[0], [1]])).ravel()
     return Cells(
-        lower, inverse, counts, number, places, chosen,
-        np.minimum.reduceat(lowest, starts), np.maximum.reduceat(highest, starts),
-        (least + most) / 2, (most - least) / 2, np.minimum.reduceat(distance * sign, starts),
-    )  # fmt: skip
+        lower, inverse, counts, number, _twice(places), np.concatenate([-chosen, chosen]),
+        _twice(np.minimum.reduceat(lowest, starts)), _twice(np.maximum.reduceat(highest, starts)),
+        np.concatenate([-least - most, least + most]) / 2, _twice(most - least) / 2,
+        np.concatenate([-far, near]),
+    ).only(np.argsort(number))  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -286,15 +289,15 @@ def _unit_normals(corners: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
-def _sides(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both sides of all triangles: which, its normal's sign, and a direction that it may count as."""
+def _axes(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All triangles: which, an axis that it may count as facing, and the sign of its normal along it."""
     size = np.abs(normals)
-    along = size >= size.max(axis=1, keepdims=True) - _TIE
-    triangle, axis = np.nonzero(along)
-    positive = normals[triangle, axis] > 0
-    directions = [2 * axis + (positive == side) for side in (True, False)]
-    signs = np.repeat([1.0, -1.0], len(triangle))
-    return np.tile(triangle, 2), signs, np.concatenate(directions)
+    triangle, axis = np.nonzero(size >= size.max(axis=1, keepdims=True) - _TIE)
+    return triangle, axis, np.where(normals[triangle, axis] > 0, 1.0, -1.0)
+
+
+def _twice(array: np.ndarray) -> np.ndarray:
+    return np.concatenate([array, array])
 
 
 def _boxes_of(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,24 +7,43 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET
 from ..scene.load import Scene
+from . import tuning
 from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
-LIGHT_FLOATS = 32
-# Floats between the records and the rows of strips: the cells' grid and where their table is.
-FRAME_FLOATS = 16
-# Lights whose sides make less than this part of the distance to their middle (the root of the sum of
-# squares) are sampled by area. Tried on the shipped scenes from 1/4 to 2: by less, samples of those
-# where shadows are all of the error cost more than they gain.
-SMALL_LIGHT = 1.0
+# A light, in the scene's frame. `normal` is that of the emitting side and `offset` that of ray ends off
+# the light's plane, for rays from the scene's origin; `along` is the unit vector along edge2, of that
+# `length`, and `across` that across it in the plane, by which edge1 measures `width`; `slope` is edge1
+# along edge2 over that; at less than the root of `large` from its middle the light is not small.
+LIGHT = Record(
+    "LIGHT",
+    {
+        "corner": 3,
+        "edge1": 3,
+        "edge2": 3,
+        "normal": 3,
+        "radiance": 3,
+        "two_sided": 1,
+        "offset": 1,
+        "area": 1,
+        "along": 3,
+        "across": 3,
+        "length": 1,
+        "width": 1,
+        "slope": 1,
+        "large": 1,
+    },
+    multiple=16,
+)
+# Between the records and the rows of strips: the grid of cells by its lower corner, one over the extent
+# of its boxes and how many there are along each axis, and where the table of cells begins.
+FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1}, multiple=16)
+STRIP = Record("STRIP", {"first": 1, "width": 1})
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
-FEWEST_STEPS = 16
+FEWEST_STRIP_STEPS = 16
 STEPS_A_LIGHT = 4
-# Part of the unit square that all lights share alike: one step a light. With half of it the variance of
-# `interior` is 1.7 times as large and that of a hall of 1,000 lamps 2.4 times (bench_lights.py); with
-# less a light would be left out, or steps would be finer than those of few Sobol points.
-EQUAL_PART = 0.25
 # Boxes along a scene's longest extent, the most for which rows and what finds them fit.
 SIDES = (32, 16, 8, 4, 2, 1)
 ROW_FLOATS_AT_MOST = 1 << 23
@@ -59,7 +78,7 @@ def strip_widths(brings: np.ndarray) -> np.ndarray:
     relative = brings / brings.max(axis=-1, keepdims=True)
     relative /= relative.sum(axis=-1, keepdims=True)
     steps = _steps(count)
-    share = steps * ((1.0 - EQUAL_PART) * relative + EQUAL_PART * shining / count)
+    share = steps * ((1.0 - tuning.EQUAL_PART) * relative + tuning.EQUAL_PART * shining / count)
     width = np.floor(share)
     rest = steps - width.sum(axis=-1, keepdims=True)
     order = np.argsort(width - share, axis=-1, kind="stable")
@@ -87,7 +106,7 @@ class LightRows:
 
     @property
     def strips(self) -> np.ndarray:
-        """Where strips begin and how wide they are, float64 (rows, lights, 2)."""
+        """Where strips begin and how wide they are, float64 (rows, lights, STRIP.size)."""
         return np.stack([np.cumsum(self.widths, axis=1) - self.widths, self.widths], axis=2)
 
 
@@ -143,9 +162,12 @@ def _light_records(scene: Scene) -> np.ndarray:
     owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
     strips = rows.strips.reshape(len(rows.widths), -1)
     each = np.concatenate([owner.reshape(-1, steps), strips], axis=1)
-    frame = np.zeros(FRAME_FLOATS)
-    frame[:9] = *rows.cells.lower, *rows.cells.inverse, *rows.cells.counts
-    frame[9] = len(records) + FRAME_FLOATS + each.size
+    frame = FRAME.pack(
+        lower=rows.cells.lower,
+        inverse=rows.cells.inverse,
+        counts=rows.cells.counts,
+        table=len(records) + FRAME.size + each.size,
+    )
     parts = (records, frame, each.ravel(), rows.table)
     return np.concatenate([part.astype(np.float32) for part in parts])
 
@@ -155,8 +177,9 @@ def light_defines(scene: Scene) -> dict[str, int]:
     count = len(scene.lights)
     return {
         "LIGHT_COUNT": count,
-        "LIGHT_FLOATS": LIGHT_FLOATS,
-        "FRAME_FLOATS": FRAME_FLOATS,
+        **LIGHT.defines(),
+        **FRAME.defines(),
+        **STRIP.defines(),
         "STRIP_STEPS": int(_steps(count)),
     }
 
@@ -179,16 +202,16 @@ def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> 
 
 def _steps(count: np.ndarray | int) -> np.ndarray:
     """Steps of the grid of strips of so many lights."""
-    needed = np.maximum(STEPS_A_LIGHT * np.asarray(count), FEWEST_STEPS)
+    needed = np.maximum(STEPS_A_LIGHT * np.asarray(count), FEWEST_STRIP_STEPS)
     return 1 << np.frexp(needed - 1.0)[1].astype(np.int64)
 
 
 def _row_floats(count: int) -> int:
-    return int(_steps(count)) + 2 * count
+    return int(_steps(count)) + STRIP.size * count
 
 
 def _records_of(lights: Lights) -> np.ndarray:
-    """float32 (lights * LIGHT_FLOATS,)."""
+    """float32 (lights * LIGHT.size,)."""
     edge1, edge2 = lights.edges.transpose(1, 0, 2)
     reach = np.abs(lights.edges).sum(axis=1)
     centre = np.abs(lights.corner + 0.5 * (edge1 + edge2))
@@ -197,24 +220,20 @@ def _records_of(lights: Lights) -> np.ndarray:
     vector_area = np.cross(edge1, edge2)
     across = np.cross(along, vector_area / np.linalg.norm(vector_area, axis=1, keepdims=True))
     width = (edge1 * across).sum(axis=1)
-    unused = np.zeros((len(length), 2))
-    columns = (
-        lights.corner,
-        edge1,
-        edge2,
-        lights.normal,
-        lights.radiance,
-        unused,
-        lights.two_sided,
-        RELATIVE_OFFSET * (np.abs(lights.normal) * (centre + reach)).sum(axis=1),
-        lights.area,
-        along,
-        across,
-        length,
-        width,
-        (edge1 * along).sum(axis=1) / width,
-        (lights.edges**2).sum(axis=(1, 2)) / SMALL_LIGHT**2,
-        unused,
+    records = LIGHT.pack(
+        corner=lights.corner,
+        edge1=edge1,
+        edge2=edge2,
+        normal=lights.normal,
+        radiance=lights.radiance,
+        two_sided=lights.two_sided,
+        offset=RELATIVE_OFFSET * (np.abs(lights.normal) * (centre + reach)).sum(axis=1),
+        area=lights.area,
+        along=along,
+        across=across,
+        length=length,
+        width=width,
+        slope=(edge1 * along).sum(axis=1) / width,
+        large=(lights.edges**2).sum(axis=(1, 2)) / tuning.SMALL_LIGHT**2,
     )
-    records = np.concatenate([np.reshape(column, (len(length), -1)) for column in columns], axis=1)
-    return records.astype(np.float32).ravel()
+    return records.ravel()

@@ -1,6 +1,6 @@
-"""When an exact integral is trusted: limits, reasons to do a point again, and what a call counts.
+"""Certification of exact integrals: limits, reasons to do a point again, and counts.
 
-`cl/integrate_check.cl` has the mathematics. This is the only owner of its constants.
+`cl/integration/integrate_check.cl` has the mathematics. This is the only owner of its constants.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ REASONS = COUNTERS[3:]
 
 @dataclass(frozen=True)
 class Statistics:
-    """What a call did.
+    """Counts of one call.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def condition_limit(precision: str, accuracy: float) -> float:
 
 
 def excess_tolerance(widths: Sequence[int], precision: str) -> float:
-    """Largest sum of D_i / terms_i (integrate_check.cl) that rounding explains.
+    """Largest sum of D_i / terms_i (integrate_check.cl) that rounding alone can cause.
 
     Each neuron's share of it is some roundings of at most one; so is each addition of the sum, whose
     terms add up to at most the number of neurons.

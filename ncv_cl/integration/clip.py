@@ -1,8 +1,8 @@
-"""The cells of one network by cutting polygons in double precision: slow, and sure.
+"""The cells of one network by cutting polygons in double precision: slow, but it cannot fail.
 
-What `subdivide` falls back on where rounding leads a line astray in the arrangement. No topology is
-shared between polygons (Sutherland and Hodgman 1974), so nothing can go wrong with it: both parts of a
-cut share its two new corners, and areas add up.
+`subdivide` uses this where rounding makes the arrangement of lines wrong. Polygons share no topology
+(Sutherland and Hodgman 1974) that rounding could break: both parts of a cut have its two new corners, so
+areas add up.
 """
 
 from __future__ import annotations

@@ -90,18 +90,17 @@ def integrate(
     Notes
     -----
     Relative to Σ |w_j| ∫|activation(z_j)| + |b|, errors stay below 1e-6 (float32) and 1e-13 (float64).
-    That is measured: by ``bench_integrate.py --torture`` on networks of 37 families that are made to
-    break it, against rational arithmetic. It is not proven; what is bounded to first order in rounding
-    is what `return_bound` returns, some hundred times more than the errors of ordinary networks.
+    This is measured and not proven: ``bench_integrate.py --torture`` compares networks of 37 families
+    that are made to break it with rational arithmetic. What `return_bound` returns is a bound to first
+    order in rounding, some hundred times the errors of ordinary networks.
 
-    Every point certifies itself: its lines pass through the arrangement as lines do, areas add up, each
-    arranged neuron has the same integral over the faces as over the whole, and so much is left of the
-    terms of its sums that their rounding does not matter. A point that does not is done again by
-    arrangements in double precision, then by cutting polygons, which takes some ten times as long. Where
-    a device has no double precision these are in single as well, and cancelling sums are only as good
-    as the bound says.
+    Every point is certified: no line crosses another twice, areas add up to 1, each arranged neuron has
+    the same integral over the faces as over the whole square, and sums do not cancel so much that
+    rounding matters. A point that fails is done again by arrangements in double precision, then by
+    cutting polygons, which takes some ten times as long. A device without double precision does these in
+    single precision; sums that cancel are then only as exact as the bound says.
 
-    Any number of threads may call at a time; threads that share a device take turns on it.
+    Threads may call this at the same time; those that share a device wait for each other.
 
     Meister and Harada, "Geometric Integration for Neural Control Variates", Computer Graphics
     Forum 2025.

@@ -14,17 +14,18 @@ from .arrangement import robust_shape_constants, shape_constants
 from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
 from .stage import ROBUST_FILES, ArrangementStage, ClippingStage, Constants, Networks
 
-METHODS = ("decoupled", "full")
+INTEGRATION_METHODS = ("decoupled", "full")
 MAX_HIDDEN_LAYERS = 4
 MAX_WIDTH = 128
-# Steeper than any leaky relu; a few layers of it do not leave the range of single precision.
+# Largest slope: steeper than any leaky relu, and a few layers of it stay in the range of single
+# precision.
 MOST_SLOPE = 1e4
 
 # Below this a product of two differences is replaced, so that 0 / 0 and underflow cannot arise.
 TINY = {"float32": "1e-37f", "float64": "1e-300"}
 # Triangles that are summed before the sum is added, compensated, to the total.
 TRIANGLES_A_SUM = 16
-# One launch; bounds the list of points to be done again.
+# Points of one launch at most, which bounds the list of points to be done again.
 POINTS_A_LAUNCH = 1 << 20
 SCRATCH_BYTES = 256 << 20
 
@@ -32,9 +33,9 @@ SCRATCH_BYTES = 256 << 20
 class Integrator:
     """Integrates networks of one shape; parameters and results stay on the device.
 
-    Every point certifies itself (`Statistics` has the reasons). One that does not is done again by
-    arrangements in double precision, if it was single and the device has double; then by cutting
-    polygons. Calls of one object from several threads wait for each other.
+    Every point is certified (`Statistics` lists the tests). One that fails is done again by arrangements
+    in double precision, if the arrays are single and the device has double; then by cutting polygons.
+    Calls of one object from several threads wait for each other.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ class Integrator:
         self.method = method
         self.precision = precision
         self.dtype = PRECISIONS[precision]
-        # Rounded as the arrays are: a point has one slope, in whatever precision it is done.
+        # Rounded to the arrays' precision, so that a point has the same slope in every stage.
         self.negative_slope = float(self.dtype.type(negative_slope))
         self.write_moments = write_moments
         self.write_bounds = write_bounds
@@ -196,10 +197,7 @@ class Integrator:
         end = out.shape[0] if end is None else end
         if not 0 <= begin <= end <= out.shape[0]:
             raise ValueError(f"range [{begin}, {end}) is not within the {out.shape[0]} points of out")
-        networks = Networks(
-            [array for pair in zip(weights, biases, strict=True) for array in pair],
-            [array for array in (out, moments, bounds) if array is not None],
-        )
+        networks = Networks.of(weights, biases, G=out, moments=moments, bounds=bounds)
         statistics = Statistics(scratch_bytes=self.scratch_bytes)
         with self._lock:
             for first in range(begin, end, POINTS_A_LAUNCH):
@@ -207,7 +205,7 @@ class Integrator:
         return statistics
 
     def _launch(self, begin: int, end: int, networks: Networks) -> Statistics:
-        """One launch, and what it leaves to be done again."""
+        """Run one launch, then the points that it did not certify once more."""
         counted = self._arrangement.run(begin, end, networks, self._lists[0])
         found = Statistics(
             points=end - begin,
@@ -219,19 +217,20 @@ class Integrator:
         return found + self._do_again(count, networks) if count else found
 
     def _do_again(self, count: int, networks: Networks) -> Statistics:
-        """The first `count` points of the list, by the stages that are left."""
+        """Do the first `count` points of the list again, by the next stages."""
         context, flags = self.device.context, cl.mem_flags.READ_WRITE
         if len(self._lists) == 1:
             self._lists.append(cl.Buffer(context, flags, size=4 * POINTS_A_LAUNCH))
         points, failed = self._lists
         done = 0
         if self.precision == "float32" and self.device.has_float64:
-            left = self._in_double().run(0, count, networks, failed, [points])["retry"]
+            left = self._in_double().run(0, count, networks, failed, points)["retry"]
             done, count = count - left, left
             points, failed = failed, points
         clipped = count if self.layers > 1 else 0
         if clipped:
-            # Without hidden layers there is nothing to cut: the value itself is not finite.
+            # Without hidden layers there is nothing to cut; the only cause is a value that is not
+            # finite.
             count = self._by_clipping().run(count, networks, failed, points)
             points = failed
         return Statistics(
@@ -241,7 +240,7 @@ class Integrator:
         )
 
     def _in_double(self) -> ArrangementStage:
-        """Built when the first point needs it, which most calls never do."""
+        """The stage in double precision, built when the first point needs it; most calls never do."""
         if self._again is None:
             constants = self._constants("float64", for_single=True)
             self._again = ArrangementStage(self.device, self._files, constants, self._scratch_bytes)
@@ -326,8 +325,8 @@ def _check_shape(widths: tuple[int, ...]) -> None:
 
 
 def check_options(method: str, precision: str, negative_slope: float, device: Device) -> None:
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {METHODS}, is {method!r}")
+    if method not in INTEGRATION_METHODS:
+        raise ValueError(f"method must be one of {INTEGRATION_METHODS}, is {method!r}")
     if precision not in PRECISIONS:
         raise ValueError(f"precision must be one of {tuple(PRECISIONS)}, is {precision!r}")
     if precision == "float64" and not device.has_float64:

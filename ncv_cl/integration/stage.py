@@ -8,16 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import Device, DeviceError, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, Device, DeviceError, HostArray
 from ..opencl.program import Program, build
 from .certificate import COUNTERS
 
-# Groups on a GPU: enough to hide latencies, few enough to keep their tables in the cache.
-GROUPS_PER_COMPUTE_UNIT = 8
 # A group pops so many points at most from the queue at once.
-LONGEST_RUN = 16
-# Local memory every GPU has; a workspace beyond it goes to global memory.
-LOCAL_BYTES = 48 * 1024
+MOST_POPPED = 16
 ROBUST_FILES = ("common", "number", "integrate_robust")
 
 Constants = dict[str, int | str]
@@ -25,18 +21,34 @@ Constants = dict[str, int | str]
 
 @dataclass(frozen=True)
 class Networks:
-    """What every stage reads and writes, in the order of the kernels' arguments.
+    """What every stage reads and writes, as the kernels call it.
 
     Attributes
     ----------
-    parameters : list of HostArray
-        Weights and biases of layer 0, of layer 1, ...
-    outputs : list of HostArray
-        G, then moments and bounds where they are written.
+    parameters : dict of HostArray
+        weights_0 and biases_0 of the first layer, weights_1, ...
+    outputs : dict of HostArray
+        G, moments and bounds: those that are written.
     """
 
-    parameters: list[HostArray]
-    outputs: list[HostArray]
+    parameters: dict[str, HostArray]
+    outputs: dict[str, HostArray]
+
+    @classmethod
+    def of(
+        cls, weights: Sequence[HostArray], biases: Sequence[HostArray], **outputs: HostArray | None
+    ) -> Networks:
+        """Networks of these layers; outputs that are None are not written."""
+        return cls(
+            layer_arguments(weights, biases),
+            {name: array for name, array in outputs.items() if array is not None},
+        )
+
+
+def layer_arguments(weights: Sequence[HostArray], biases: Sequence[HostArray]) -> dict[str, HostArray]:
+    """Layers by the names that number.cl gives them."""
+    named = {"weights": weights, "biases": biases}
+    return {f"{name}_{k}": array for name, arrays in named.items() for k, array in enumerate(arrays)}
 
 
 class _Counters:
@@ -96,7 +108,8 @@ class ArrangementStage:
         self.device = device
         program = build(device, files, constants)
         work_bytes, table_bytes = memory_of(program, "integrate_memory")
-        local_bytes = min(LOCAL_BYTES, device.cl_device.local_mem_size)
+        # A workspace beyond it goes to global memory.
+        local_bytes = min(GPU_LOCAL_BYTES, device.cl_device.local_mem_size)
         if device.lanes > 1 and work_bytes + 64 <= local_bytes:
             constants = constants | {"SPACE": "__local", "WORK_IS_LOCAL": 1}
             program = build(device, files, constants)
@@ -127,7 +140,7 @@ class ArrangementStage:
         end: int,
         networks: Networks,
         retry: cl.Buffer,
-        points: Sequence[cl.Buffer] = (),
+        points: cl.Buffer | None = None,
     ) -> dict[str, int]:
         """Integrate points [begin, end), or those at [begin, end) of a list.
 
@@ -138,22 +151,22 @@ class ArrangementStage:
             points to be done again.
         """
         groups = min(self.groups, end - begin)
-        run = max(1, min(LONGEST_RUN, (end - begin) // (groups * 16)))
+        run = max(1, min(MOST_POPPED, (end - begin) // (groups * 16)))
         self._counters.array.fill(0)
         self._faces.fill(0)
         self._kernel(
             groups * self.device.lanes,
-            begin,
-            end,
-            run,
-            self._counters.array,
-            *points,
-            retry,
-            self._faces,
-            *networks.outputs,
-            self._work,
-            self._tables,
-            *networks.parameters,
+            begin=begin,
+            end=end,
+            run=run,
+            counters=self._counters.array,
+            **({} if points is None else {"list": points}),
+            retry=retry,
+            group_faces=self._faces,
+            **networks.outputs,
+            all_work=self._work,
+            all_tables=self._tables,
+            **networks.parameters,
             group=self.device.lanes,
         )
         counted = self._counters.read(end - begin)
@@ -161,7 +174,7 @@ class ArrangementStage:
 
 
 class ClippingStage:
-    """Integrates by cutting polygons, one work-item a point: slow, and sure.
+    """Integrates by cutting polygons, one work-item a point: slow, but no arrangement can fail.
 
     Parameters
     ----------
@@ -185,13 +198,13 @@ class ClippingStage:
         self._counters.array.fill(0)
         self._kernel(
             min(self.groups, count),
-            count,
-            self._counters.array,
-            points,
-            failed,
-            *networks.outputs,
-            self._tables,
-            *networks.parameters,
+            count=count,
+            counters=self._counters.array,
+            list=points,
+            failed=failed,
+            **networks.outputs,
+            all_work=self._tables,
+            **networks.parameters,
             group=1,
         )
         return self._counters.read(count)["retry"]
@@ -201,5 +214,5 @@ def memory_of(program: Program, kernel: str) -> tuple[int, ...]:
     """Bytes of what a group keeps in memory, from the kernels' own sizeof."""
     sizes = HostArray(program.device, 2, np.int32)
     sizes.fill(0)
-    program.kernel(kernel)(1, sizes, group=1)
+    program.kernel(kernel)(1, bytes=sizes, group=1)
     return tuple(sizes.read().tolist())

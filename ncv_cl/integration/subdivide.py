@@ -16,6 +16,7 @@ from ..opencl.program import build
 from .clip import Cell, clipped_cells
 from .integrate import activation_slope, plain_arrays
 from .integrator import Integrator, check_options
+from .stage import layer_arguments, memory_of
 
 # A face must be wider than so many roundings of its corners.
 SLIVER_ROUNDINGS = 8
@@ -195,31 +196,38 @@ def _emit(
     # The output layer's affine functions are one more layer of lines.
     defines = defines | {"LINE_LAYERS": len(strides), "LINE_STRIDE": max(strides)}
     program = build(device, (*files, "subdivide"), defines)
-    sizes = HostArray(device, 2, np.int32)
-    program.kernel("integrate_memory")(1, sizes, group=1)
-    work_bytes, table_bytes = (int(size) for size in sizes.read())
+    work_bytes, table_bytes = memory_of(program, "integrate_memory")
     flags = cl.mem_flags.READ_WRITE
     work = cl.Buffer(device.context, flags, size=work_bytes)
     tables = cl.Buffer(device.context, flags, size=table_bytes)
-    parameters = [HostArray.of(device, a) for pair in zip(weights, biases, strict=True) for a in pair]
+    layers = ([HostArray.of(device, array) for array in arrays] for arrays in (weights, biases))
+    parameters = layer_arguments(*layers)
     counts = HostArray(device, 3, np.int32)
     channels = integrator.widths[-1]
     cells = corners = 0
     for _ in range(2):
-        outputs = [
-            HostArray(device, cells, np.int32),
-            HostArray(device, cells, integrator.dtype),
-            HostArray(device, (cells, channels, 3), integrator.dtype),
-            HostArray(device, (corners, 2), integrator.dtype),
-            HostArray(device, corners, np.int32),
-        ]
+        outputs = {
+            "first_corner": HostArray(device, cells, np.int32),
+            "areas": HostArray(device, cells, integrator.dtype),
+            "affine": HostArray(device, (cells, channels, 3), integrator.dtype),
+            "corners": HostArray(device, (corners, 2), integrator.dtype),
+            "layers": HostArray(device, corners, np.int32),
+        }
         program.kernel("subdivide")(
-            1, counts, cells, corners, *outputs, work, tables, *parameters, group=1
+            1,
+            counts=counts,
+            cell_capacity=cells,
+            corner_capacity=corners,
+            **outputs,
+            work=work,
+            tables=tables,
+            **parameters,
+            group=1,
         )
         cells, corners, doubt = (int(count) for count in counts.read())
         if doubt:
             return None
-    return tuple(array.read() for array in outputs)
+    return tuple(array.read() for array in outputs.values())
 
 
 def _assemble(

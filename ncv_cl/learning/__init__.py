@@ -1,1 +1,1 @@
-"""Training: the network, its control coefficients, and the density of its residual."""
+"""Training: the network, its control coefficients, the density of its residual."""

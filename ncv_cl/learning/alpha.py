@@ -1,4 +1,4 @@
-"""The control coefficient α: how much of the network each part of the image takes off."""
+"""The control coefficients α of the points: α g is subtracted from f in place of g."""
 
 from __future__ import annotations
 
@@ -10,20 +10,12 @@ from ..network.network import FoldedNetwork
 from ..opencl.device import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
+from . import tuning
 from .train import TrainingSamples
-
-# A tile of the image has about so many training samples, whose points share one coefficient a channel.
-SAMPLES_A_TILE = 256
-# Samples that speak for a coefficient of 1, whatever was seen.
-PSEUDO_SAMPLES = 32
-# Below this the network is worth less than it costs, and counts as nothing.
-SMALLEST = 0.1
-# What is far above 1 was seen by chance.
-LARGEST = 2.0
 
 
 def can_scale(folded: FoldedNetwork) -> bool:
-    """Whether every point has an output layer of its own, which takes its coefficient."""
+    """Whether every point has an output layer of its own, which its coefficient can multiply."""
     return {"W3", "B3"} <= set(folded.network.description.modulated)
 
 
@@ -32,9 +24,9 @@ def control_coefficients(
 ) -> np.ndarray:
     """α for every point and channel, float32 (channels, points.active).
 
-    The variance of f − α g is least for α = Cov(f, g) / Var(g). Both are taken over the training samples
-    alone, since coefficients from the samples that estimate the residual would bias it, and pooled over
-    tiles of the image: a point has few training samples, or none.
+    The variance of f − α g is least for α = Cov(f, g) / Var(g). Both are estimated from the training
+    samples, since coefficients from the residual's own samples would bias it. They are pooled over tiles
+    of the image, since a point has few training samples, or none.
 
     Parameters
     ----------
@@ -57,18 +49,23 @@ def control_coefficients(
         products = np.bincount(own_tile, product, number)
         squares = np.bincount(own_tile, square, number)
         best = np.where(squares > 0, products / np.maximum(squares, 1e-30), 1.0)
-        shrunk = 1.0 + (best - 1.0) * seen / (seen + PSEUDO_SAMPLES)
-        found[channel] = np.where(shrunk < SMALLEST, 0.0, np.minimum(shrunk, LARGEST))[tile]
+        shrunk = 1.0 + (best - 1.0) * seen / (seen + tuning.PSEUDO_SAMPLES)
+        bounded = np.minimum(shrunk, tuning.LARGEST_COEFFICIENT)
+        found[channel] = np.where(shrunk < tuning.SMALLEST_COEFFICIENT, 0.0, bounded)[tile]
     return found
 
 
 def scale(folded: FoldedNetwork, alpha: np.ndarray) -> None:
-    """Make g of each point α g; points whose α is zero are skipped by integration and inference."""
+    """Multiply each point's g by its α; integration and inference skip points whose α is zero."""
     program = build(folded.device, ("common", "mlp", "alpha"), folded.network.description.defines())
     count = alpha.shape[1]
     groups = folded.groups
     program.kernel("scale_outputs")(
-        count, count, HostArray.of(folded.device, alpha), groups["W3"], groups["B3"]
+        count,
+        count=count,
+        alpha=HostArray.of(folded.device, alpha),
+        w3=groups["W3"],
+        b3=groups["B3"],
     )
     folded.device.queue.finish()
 
@@ -81,19 +78,19 @@ def _column_moments(folded: FoldedNetwork, samples: TrainingSamples) -> np.ndarr
     moments = HostArray(device, (2, description.channels, stride), np.float32)
     program.kernel("column_moments")(
         samples.count,
-        samples.count,
-        stride,
-        samples.samples,
-        samples.order,
-        samples.u,
-        samples.v,
-        samples.target,
-        *folded.arrays,
-        moments,
+        count=samples.count,
+        stride=stride,
+        samples=samples.samples,
+        order=samples.order,
+        all_u=samples.u,
+        all_v=samples.v,
+        all_targets=samples.target,
+        **folded.arrays,
+        moments=moments,
     )
     return moments.read()[..., : samples.count].astype(np.float64)
 
 
 def _tile_side(points: int, samples: int) -> int:
-    """Sub-pixels along a side of a tile that holds `SAMPLES_A_TILE` of `samples`."""
-    return max(1, math.ceil(math.sqrt(SAMPLES_A_TILE * points / max(samples, 1))))
+    """Sub-pixels along a side of a tile that holds `tuning.SAMPLES_A_TILE` of `samples`."""
+    return max(1, math.ceil(math.sqrt(tuning.SAMPLES_A_TILE * points / max(samples, 1))))

@@ -1,4 +1,4 @@
-"""Where the residual is: a learned sampling density and magnitude for every shading point."""
+"""The residual's magnitude over the square, learned: every point's sampling density and mean."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
 from ..network.network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
+from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
-GROUPS = 16
-CELLS = DENSITY_BINS**2
+GRADIENT_GROUPS = 16
+DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
 
@@ -49,34 +51,37 @@ class DensitySettings:
     beta1, beta2, epsilon : float
         Adam's constants.
     uniform_share : float
-        Part of every density that is uniform, so that nothing overlooked gets a large weight.
+        Part of every density that is uniform, which bounds the weight of a sample where the network
+        predicts too little.
     """
 
-    hidden: int = 32
-    columns: int = 128
-    samples_a_step: int = 16
-    steps: int = 640
-    most_epochs: int = 8
-    rate: float = 1e-2
-    final_rate: float = 1e-3
-    beta1: float = 0.9
-    beta2: float = 0.99
+    hidden: int = tuning.DENSITY_HIDDEN
+    columns: int = tuning.DENSITY_COLUMNS
+    samples_a_step: int = tuning.DENSITY_SAMPLES_A_STEP
+    steps: int = tuning.DENSITY_STEPS
+    most_epochs: int = tuning.DENSITY_EPOCHS
+    rate: float = tuning.DENSITY_RATE
+    final_rate: float = tuning.DENSITY_FINAL_RATE
+    beta1: float = tuning.DENSITY_BETA1
+    beta2: float = tuning.DENSITY_BETA2
     epsilon: float = 1e-8
-    uniform_share: float = 0.1
+    uniform_share: float = tuning.DENSITY_UNIFORM_SHARE
 
-    def parameter_count(self, features: int) -> int:
-        """Numbers of the network: hidden units, then a row and a bias for each cell."""
-        return (features + 1 + CELLS) * self.hidden + CELLS
+    def parameters(self, features: int) -> Record:
+        """The network's numbers: weights and biases of its units, then rows and biases of cells."""
+        fields = {"units": features * self.hidden, "unit_bias": self.hidden}
+        return Record(
+            "MAGNITUDE", {**fields, "rows": DENSITY_CELLS * self.hidden, "cell_bias": DENSITY_CELLS}
+        )
 
     def defines(self, description: NetworkDescription) -> dict[str, int | str]:
         """The `-D` constants of density.cl but those of fitting."""
-        count = self.parameter_count(description.encoding.feature_count)
         return {
             **description.defines(),
             "FITTING": 0,
             **warp_defines(),
             "DENSITY_HIDDEN": self.hidden,
-            "DENSITY_PARAMETERS": f"{count}u",
+            **self.parameters(description.encoding.feature_count).defines(),
             "UNIFORM_SHARE": f"{self.uniform_share!r}f",
         }
 
@@ -103,7 +108,7 @@ class DensityNetwork:
     settings: DensitySettings
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The numbers, as they are kept in a network's file."""
+        """The arrays that are saved in the control variate's file."""
         return {
             "density_parameters": self.parameters,
             "density_features": np.stack([self.feature_mean, self.feature_scale]),
@@ -114,7 +119,7 @@ class DensityNetwork:
 
     @classmethod
     def load(cls, path: str | Path) -> DensityNetwork | None:
-        """What `arrays` put into a network's file; None where there is none.
+        """The density network of a control variate's file; None if the file has none.
 
         Raises
         ------
@@ -131,7 +136,7 @@ class DensityNetwork:
     def of_arrays(
         cls, arrays: Mapping[str, np.ndarray], description: NetworkDescription
     ) -> DensityNetwork | None:
-        """What `arrays` put beside a network of this description; None where there is none.
+        """The density network among the arrays of a file of this description; None if there is none.
 
         Raises
         ------
@@ -147,8 +152,8 @@ class DensityNetwork:
             raise ValueError(f"the density's hidden units must be 16, 32, ... 512, are {hidden}")
         settings = DensitySettings(hidden=int(hidden), uniform_share=uniform_share)
         features = description.encoding.feature_count
-        count = settings.parameter_count(features)
-        parameters = array_of(arrays, "density_parameters", np.float32, (count,))
+        size = settings.parameters(features).size
+        parameters = array_of(arrays, "density_parameters", np.float32, (size,))
         scales = array_of(arrays, "density_features", np.float32, (2, features))
         return cls(parameters, *scales, unit, settings)
 
@@ -193,10 +198,10 @@ def tabulate(
     table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
-    inputs = [
-        HostArray.of(device, array)
-        for array in (density.feature_mean, density.feature_scale, density.parameters)
-    ]
+    inputs = {
+        name: HostArray.of(device, getattr(density, name))
+        for name in ("feature_mean", "feature_scale", "parameters")
+    }
     for first in range(0, points.active, POINTS_PER_FOLD):
         count = min(POINTS_PER_FOLD, points.active - first)
         order = HostArray.of(device, np.arange(first, first + count, dtype=np.uint32))
@@ -204,13 +209,13 @@ def tabulate(
         encoder.encode_grid(entries)
         program.kernel("density_tables")(
             -(-count // device.vector_width),
-            count,
-            encoder.stride,
-            first,
-            encoder.features,
-            *inputs,
-            magnitude,
-            table,
+            count=count,
+            stride=encoder.stride,
+            first_point=first,
+            features=encoder.features,
+            **inputs,
+            magnitude=magnitude,
+            density=table,
         )
     scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
     magnitudes = magnitude.read().astype(np.float64) * scale
@@ -218,7 +223,7 @@ def tabulate(
 
 
 class DensityTrainer:
-    """Learns the magnitude of f - g over (u, v) and phi from the control variate's own training samples.
+    """Learns the magnitude of f - g from the control variate's own training samples.
 
     Parameters
     ----------
@@ -252,8 +257,10 @@ class DensityTrainer:
             self._mean_square = float(squared[:, : samples.count].mean(dtype=np.float64)) or 1.0
         start = self._start(len(features))
         self._parameters = HostArray.of(device, start)
-        self._moments = [HostArray.of(device, np.zeros_like(start)) for _ in range(2)]
-        self._partial = HostArray(device, (GROUPS, len(start)), np.float32)
+        self._moments = {
+            name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
+        }
+        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -272,14 +279,15 @@ class DensityTrainer:
         return build(self.device, ("common", "mlp", "density"), defines)
 
     def _start(self, features: int) -> np.ndarray:
-        """He-uniform hidden units and rows, and so e near the samples' root mean square everywhere."""
+        """Random start: He-uniform units, and rows so small that e is near the samples' RMS."""
         hidden = self.settings.hidden
         generator = host_generator(0, HostStream.DENSITY)
-        parameters = np.zeros(self.settings.parameter_count(features), np.float32)
-        units, rows = features * hidden, (features + 1) * hidden
-        parameters[:units] = generator.uniform(-1, 1, units) * math.sqrt(3 / features)
+        layout = self.settings.parameters(features)
+        parameters = np.zeros(layout.size, np.float32)
+        units = generator.uniform(-1, 1, features * hidden)
+        parameters[layout["units"]] = units * math.sqrt(3 / features)
         bound = 1 / math.sqrt(hidden)
-        parameters[rows : rows + CELLS * hidden] = generator.uniform(-bound, bound, CELLS * hidden)
+        parameters[layout["rows"]] = generator.uniform(-bound, bound, DENSITY_CELLS * hidden)
         return parameters
 
     def _squared_residuals(self, unit: np.ndarray | None) -> HostArray:
@@ -290,16 +298,16 @@ class DensityTrainer:
         squared.fill(0.0)
         self._program.kernel("squared_residuals")(
             samples.count * -(-samples.samples // device.vector_width),
-            samples.count,
-            samples.u.shape[1],
-            samples.samples,
-            samples.order,
-            samples.u,
-            samples.v,
-            samples.target,
-            HostArray.of(device, unit),
-            *self._network.arrays,
-            squared,
+            count=samples.count,
+            stride=samples.u.shape[1],
+            samples=samples.samples,
+            order=samples.order,
+            all_u=samples.u,
+            all_v=samples.v,
+            all_targets=samples.target,
+            unit=HostArray.of(device, unit),
+            **self._network.arrays,
+            squared=squared,
         )
         return squared
 
@@ -326,24 +334,24 @@ class DensityTrainer:
         )
 
     def gradients(self, sample: int, first: int, count: int) -> int:
-        """Enqueue one step's gradients; returns how many rows of partial sums they are."""
+        """Enqueue one step's gradients; returns the number of rows of partial sums."""
         samples, lanes = self._samples, self.device.lanes
-        groups = min(GROUPS, count)
+        groups = min(GRADIENT_GROUPS, count)
         self._program.kernel("density_gradients")(
             groups * lanes,
-            sample,
-            first,
-            count,
-            samples.u.shape[1],
-            1.0 / self._mean_square,
-            samples.encoder.features,
-            self._mean,
-            self._scale,
-            samples.u,
-            samples.v,
-            self._squared,
-            self._parameters,
-            self._partial,
+            sample=sample,
+            first=first,
+            count=count,
+            stride=samples.u.shape[1],
+            unit_square=1.0 / self._mean_square,
+            features=samples.encoder.features,
+            feature_mean=self._mean,
+            feature_scale=self._scale,
+            all_u=samples.u,
+            all_v=samples.v,
+            squared=self._squared,
+            parameters=self._parameters,
+            partial=self._partial,
             group=lanes,
         )
         return groups
@@ -354,11 +362,11 @@ class DensityTrainer:
         decay = 0.5 * (1.0 + math.cos(math.pi * number / total))
         self._program.kernel("density_adam")(
             -(-self._parameters.shape[0] // self.device.vector_width),
-            groups,
-            settings.final_rate + (settings.rate - settings.final_rate) * decay,
-            1.0 / (1.0 - settings.beta1**number),
-            1.0 / (1.0 - settings.beta2**number),
-            self._partial,
-            self._parameters,
-            *self._moments,
+            groups=groups,
+            rate=settings.final_rate + (settings.rate - settings.final_rate) * decay,
+            correction1=1.0 / (1.0 - settings.beta1**number),
+            correction2=1.0 / (1.0 - settings.beta2**number),
+            partial=self._partial,
+            parameters=self._parameters,
+            **self._moments,
         )

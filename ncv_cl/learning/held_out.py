@@ -1,4 +1,4 @@
-"""Samples at points that no network is trained on: what a network leaves of them."""
+"""Held-out samples, at points that no network is trained on: they measure what a network leaves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..network.network import FoldedNetwork, Network
 from ..opencl.device import Device, HostArray
-from ..points.points import ROW_COUNT, ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Accumulator
 from ..sampling.samples import NO_RAY, SEEN, Batch
 
@@ -45,7 +45,7 @@ class HeldOut:
         self._batches: list[tuple[Batch, int]] = []
 
     def store(self, batch: Batch, first_sample: int) -> None:
-        """Keep a copy of a batch, samples number `first_sample` and on of these points."""
+        """Keep a copy of a batch: samples number `first_sample` and on of the held-out points."""
         device, size = self.device, len(batch.points) * batch.stride
         slot, visible = batch.slot.read(size), batch.visible.read()
         answer = visible[np.minimum(slot, len(visible) - 1)] != 0
@@ -77,7 +77,7 @@ class HeldOut:
 
 def _only(points: ShadingPoints, chosen: np.ndarray) -> ShadingPoints:
     """Points of which there are only the `chosen` ones, all active."""
-    surface = HostArray(points.surface.device, (ROW_COUNT, len(chosen)), np.float32)
+    surface = HostArray(points.surface.device, (SURFACE.size, len(chosen)), np.float32)
     with points.surface.mapped() as old, surface.mapped(write=True) as new:
         np.take(old, chosen, axis=1, out=new)
     cell, light = points.cell[chosen], points.light[chosen]

@@ -1,4 +1,4 @@
-"""Training samples drawn, round after round, and a network trained on them."""
+"""Draw training samples round by round, and train a network on them."""
 
 from __future__ import annotations
 
@@ -21,20 +21,11 @@ from ..sampling.samples import Batch
 from ..settings.presets import Preset
 from ..settings.schedule import Schedule
 from ..settings.settings import Settings
+from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
 from .held_out import HeldOut
 from .train import Trainer, TrainingSamples
 
-# How often a sample is used with `train_spp` "auto".
-AUTO_EPOCHS = 2
-# Samples in all with "auto" where held-out variance does not decide.
-UNDECIDED_SAMPLES = 1 << 19
-# Few points make few steps of a pass; samples are used more often then, up to so often. Points that fit
-# one minibatch bear many steps; where there are more, with few samples each, the network soon knows the
-# samples by heart.
-FEWEST_STEPS = 64
-FEWEST_STEPS_OF_ONE_BATCH = 512
-MOST_EPOCHS = 128
 # Training samples held at a time.
 TRAINING_SAMPLES_HELD = 1 << 23
 
@@ -56,7 +47,7 @@ class Learned:
         after each round the variance of f - g over that of f at points that are not trained on. Empty
         where no points were held out.
     guide : Guide, optional
-        Where light comes from, for paths behind the first bounce.
+        Densities that guide bounces behind the first; `gi` only.
     """
 
     estimate: Estimate
@@ -67,9 +58,9 @@ class Learned:
 
 
 def learn(problem: Problem, settings: Settings, run: Run) -> Learned:
-    """Draw training samples and fit a network; once more at a tenth of the rate where that diverges.
+    """Draw training samples and train a network; if that diverges, again at a tenth of the rate.
 
-    Training ends in its part of a time limit, with the rounds that were done until then.
+    With a time limit training ends after `TRAINING_SHARE` of it, with the rounds done until then.
     """
     if settings.guides:
         problem.source.record_guide()
@@ -100,18 +91,20 @@ def _fitted(problem: Problem, settings: Settings, run: Run) -> Learned:
 def training_budget(settings: Settings, active: int) -> Budget:
     """The samples that training `active` points may take.
 
-    Held-out variance decides where it tells all that samples are good for: guides learn from them too,
-    and a schedule of whole frames needs every point.
+    The variance at held-out points decides how many rounds there are, except in two cases: if the
+    samples also train guides, whose gain it does not show, and if the schedule needs every point.
     """
     if settings.training.train_spp == "auto" and settings.preset.subset and not settings.guides:
         return plan(active, settings.spp, settings.seed)
-    chosen, samples = settings.training_points(active, TRAINING_PASS, UNDECIDED_SAMPLES)
+    most = max(settings.spp * tuning.LARGEST_TRAINING_SHARE, 1.0)
+    auto_spp = min(tuning.UNDECIDED_SAMPLES / active, most)
+    chosen, samples = settings.training_points(active, TRAINING_PASS, auto_spp)
     return Budget([Round(chosen, range(samples))])
 
 
 @dataclass
 class _Rounds:
-    """What the rounds so far have left: `found` is samples and held-out variances after each."""
+    """The state after some rounds; `found` holds samples and held-out variances after each."""
 
     network: Network | None = None
     trainer: Trainer | None = None
@@ -124,7 +117,7 @@ class _Rounds:
 
 @dataclass(frozen=True)
 class _Learning:
-    """What the attempts to train one network share."""
+    """The inputs of training; `attempt` trains one network."""
 
     problem: Problem
     settings: Settings
@@ -138,7 +131,7 @@ class _Learning:
         budget = training_budget(self.settings, points.active)
         accumulator = Accumulator(self.problem.device, points, self.settings.integrand.channels)
         done = _Rounds()
-        # Out of time, the rounds done before are what there is.
+        # When the time is over, the rounds done before count.
         with suppress(OutOfTime):
             self._rounds(budget, slower, accumulator, done)
         about: dict[str, object] = {
@@ -153,7 +146,7 @@ class _Learning:
         return Learned(accumulator.result(), network, samples, about)
 
     def _rounds(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
-        """Round after round, until they are over or the next one would not pay."""
+        """Do round after round, until none is left or the next one would not pay."""
         source, held_out = self.problem.source, None
         rays = source.rays.traced
         if budget.held_out is not None:
@@ -196,7 +189,7 @@ class _Learning:
         schedule = preset.schedule
         epochs = schedule.epochs
         if self.settings.training.train_spp == "auto":
-            epochs = min(epochs, AUTO_EPOCHS)
+            epochs = min(epochs, tuning.AUTO_EPOCHS)
         rate = schedule.rate * slower
         return replace(
             schedule,
@@ -213,7 +206,7 @@ class _Learning:
         previous: Trainer | None,
         losses: list[float],
     ) -> Trainer:
-        """One round, in parts if its samples are too many to be held; adds each part's loss."""
+        """Train one round, in parts if memory cannot hold its samples; appends each part's loss."""
         chosen, numbers = current.chosen, current.samples
         held = min(len(numbers), max(TRAINING_PASS, TRAINING_SAMPLES_HELD // len(chosen)))
         firsts = range(numbers.start, numbers.stop - held + 1, held)
@@ -234,7 +227,7 @@ class _Learning:
 
     @property
     def _check(self) -> Callable[[], None] | None:
-        """What raises `OutOfTime`, where there is a limit."""
+        """A function that raises `OutOfTime`; None without a time limit."""
         return None if self.run.clock.limit is None else lambda: self.run.clock.check(TRAINING_SHARE)
 
     def _draw(
@@ -272,6 +265,6 @@ def _enough_epochs(preset: Preset, epochs: int, points: int, samples: int) -> in
         return epochs
     schedule = preset.schedule
     batches = max(1, round(points / schedule.batch))
-    wanted = FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else FEWEST_STEPS
+    wanted = tuning.FEWEST_STEPS_OF_ONE_BATCH if batches == 1 else tuning.FEWEST_STEPS
     steps = batches * max(1, samples // schedule.samples_a_step)
-    return max(epochs, min(MOST_EPOCHS, -(-wanted // steps)))
+    return max(epochs, min(tuning.MOST_EPOCHS, -(-wanted // steps)))

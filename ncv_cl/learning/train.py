@@ -13,35 +13,36 @@ from ..host.clock import CHECKED_STEPS
 from ..network.encode import Encoder, GridIndex, TouchedTable
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
-from ..opencl.device import Device, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from ..sampling.samples import Batch, ray_defines
 from ..settings.schedule import Schedule
+from . import tuning
 
-# Bytes of local memory that the gradient kernel may use; every GPU has this much.
-LOCAL_BYTES = 48 << 10
-# On CPUs local memory is cache, and small tiles share a step's columns among more threads.
-CPU_LOCAL_BYTES = 256 << 10
-CPU_MAX_TILE = 16
-MAX_TILE = 64
 # PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
 # first thread would get too many, were its first ones not empty.
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
-GROUPS = 64
-# What a step's rows of `plan` and `rates` hold.
-PLAN = ("SAMPLE", "FIRST", "COUNT", "GROUPS", "FIRST_ENTRY", "END_ENTRY")
-RATES = ("NETWORK", "TABLE", "CORRECTION1", "CORRECTION2", "AVERAGE")
+PARTIAL_SUMS = 64
+# A step: the first of its samples, its columns, its work-groups, and its entries of the grid's index.
+PLAN = Record(
+    "PLAN",
+    dict.fromkeys(("sample", "first", "count", "groups", "first_entry", "end_entry"), 1),
+    np.uint32,
+)
+# A step's sizes, Adam's corrections of its moments, and the share that the moving average keeps.
+RATES = Record("RATE", dict.fromkeys(("network", "table", "correction1", "correction2", "average"), 1))
 
 
 def minibatches(count: int, columns: int) -> list[range]:
     """`count` columns cut into runs of about `columns`, of whole tiles of CPUs but for the last.
 
-    A run that ended a column into a tile would keep one thread busy with it while the others wait.
+    If a run ended one column into a tile, one thread would do that tile while the others wait.
     """
-    width = min(CPU_MAX_TILE, columns)
+    width = min(tuning.CPU_TILE, columns)
     tiles = -(-count // width)
     edges = np.linspace(0, tiles, max(1, round(count / columns)) + 1).astype(int) * width
     return [range(a, b) for a, b in itertools.pairwise(np.minimum(edges, count).tolist())]
@@ -49,7 +50,7 @@ def minibatches(count: int, columns: int) -> list[range]:
 
 @dataclass(frozen=True)
 class TrainingSamples:
-    """What a `Trainer` keeps of its samples, one column a shading point.
+    """The samples that a `Trainer` holds, one column a shading point.
 
     Attributes
     ----------
@@ -93,9 +94,10 @@ class Trainer:
     factor : HostArray, optional
         float32 (channels, points.active), what a demodulated network's output is multiplied by.
     previous : Trainer, optional
-        Of the same description, on other samples: its parameters and their moments go on, `network`
-        itself is not looked at. The learning rate starts anew, as in stochastic gradient descent with
-        warm restarts (Loshchilov and Hutter 2017); the grid's moments do, since theirs are short.
+        A trainer of a network of the same description on other samples. This one starts from its
+        parameters and their moments, and not from `network`. The learning rate starts anew, as in
+        stochastic gradient descent with warm restarts (Loshchilov and Hutter 2017), and so do the grid's
+        moments, whose memory is short.
     """
 
     def __init__(
@@ -140,13 +142,13 @@ class Trainer:
         self._table = TouchedTable(device, table, self._index.touched, moments)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
-        tiles = [min(GROUPS, -(-len(batch) // self._tile)) for batch in self._batches]
+        tiles = [min(PARTIAL_SUMS, -(-len(batch) // self._tile)) for batch in self._batches]
         self._gradient_items = [(n + self._idle_groups) * device.lanes for n in tiles]
         blocks = self._layout.size // device.vector_width
         self._adam_items = [
             blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
         ]
-        self._partial = HostArray(device, (GROUPS, self._layout.size), np.float32)
+        self._partial = HostArray(device, (PARTIAL_SUMS, self._layout.size), np.float32)
         self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
         stride, channels = self._encoder.stride, description.channels
@@ -162,7 +164,7 @@ class Trainer:
             self._set_factors(np.full((channels, count), self._scale, np.float32))
 
     def _set_factors(self, factor: np.ndarray | None) -> None:
-        """Factors by column, and from them the weights; without factors one for all comes with `fit`."""
+        """Set the factors of all columns and the weights; without factors `fit` sets a common one."""
         count, power = self._encoder.count, self.settings.weight_power
         self._has_factors = factor is not None
         if factor is None:
@@ -173,31 +175,31 @@ class Trainer:
                 view[:, :count], view[:, count:] = values, 0.0
 
     def store(self, batch: Batch, first_sample: int) -> None:
-        """Keep a batch's samples as number `first_sample` and on of their points."""
+        """Keep a batch: samples number `first_sample` and on of its points."""
         self._program.kernel("store_samples")(
             len(batch.points) * batch.stride // self.device.vector_width,
-            batch.points.start,
-            len(batch.points),
-            batch.samples,
-            batch.stride,
-            self._encoder.stride,
-            first_sample,
-            self._position,
-            batch.u,
-            batch.v,
-            batch.value,
-            batch.slot,
-            batch.visible,
-            self._u,
-            self._v,
-            self._target,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            sample_count=batch.samples,
+            batch_stride=batch.stride,
+            stride=self._encoder.stride,
+            first_row=first_sample,
+            position=self._position,
+            batch_u=batch.u,
+            batch_v=batch.v,
+            value=batch.value,
+            slot=batch.slot,
+            visible=batch.visible,
+            u=self._u,
+            v=self._v,
+            target=self._target,
         )
 
-    def fit(self, rounds: int = 1, check: Callable[[], None] | None = None) -> float:
-        """All epochs over the stored samples, as one of `rounds` such calls; returns the mean loss.
+    def fit(self, parts: int = 1, check: Callable[[], None] | None = None) -> float:
+        """Train all epochs on the stored samples, as one of `parts` such calls; returns the mean loss.
 
-        The loss is the mean over the last pass's steps at the end of each stored sample. `check` is
-        called now and then, and may raise.
+        The loss is the last minibatch's, averaged over the last epoch. `check` is called now and then,
+        and may raise.
         """
         if not self._has_factors:
             self._set_common_factor()
@@ -206,7 +208,7 @@ class Trainer:
         starts = range(0, self.samples - step + 1, step)
         numbers = range(len(self._batches))
         order = [(sample, n) for _ in range(settings.epochs) for sample in starts for n in numbers]
-        self._bind(*self._plan(order, rounds * len(order)))
+        self._bind(*self._plan(order, parts * len(order)))
         losses = []
         for number, (_, batch) in enumerate(order):
             self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
@@ -236,12 +238,12 @@ class Trainer:
         return Network(description, parameters, self._table.read(), self._start.cube)
 
     def samples_of(self, network: Network) -> TrainingSamples:
-        """The samples stored last, with features as `network`, a result of this training, sees them."""
+        """The samples stored last, with the features that `network`, a result of this training, gets."""
         self._encoder.encode_grid(HostArray.of(self.device, network.table))
         return TrainingSamples(self._order, self._u, self._v, self._target, self._encoder)
 
     def _set_common_factor(self) -> None:
-        """The integrand's mean size for all: rates and losses do not depend on the scene's units."""
+        """Take the integrand's mean magnitude as every factor: losses do not depend on the units."""
         count = self._encoder.count
         with self._target.mapped() as target:
             mean = float(np.mean(np.abs(target[:, :, :count]), dtype=np.float64))
@@ -250,59 +252,63 @@ class Trainer:
         self._set_factors(np.full((channels, count), self._scale, np.float32))
 
     def _plan(self, order: list[tuple[int, int]], total: int) -> tuple[HostArray, HostArray]:
-        """What differs between steps of `order` (first sample, minibatch), as the kernels read it."""
+        """The kernels' plan and rates, a row for each step of `order`, (first sample, minibatch)."""
         settings = self.settings
-        plan = np.zeros((len(order), len(PLAN)), np.uint32)
         sample, batch = np.array(order).T
         columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
         entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
-        groups = np.minimum(GROUPS, -(-columns[:, 1] // self._tile))
-        for word, values in enumerate((sample, *columns.T, groups, *entries.T)):
-            plan[:, word] = values
+        groups = np.minimum(PARTIAL_SUMS, -(-columns[:, 1] // self._tile))
+        plan = PLAN.pack(
+            sample=sample,
+            first=columns[:, 0],
+            count=columns[:, 1],
+            groups=groups,
+            first_entry=entries[:, 0],
+            end_entry=entries[:, 1],
+        )
         step = self._steps + 1.0 + np.arange(len(order))
         decay = 0.5 * (1.0 + np.cos(math.pi * np.minimum((step - self._begun) / total, 1.0)))
         rate = settings.final_rate + (settings.rate - settings.final_rate) * decay
-        rates = (
-            rate,
-            rate * settings.table_rate,
-            1.0 / (1.0 - settings.beta1**step),
-            1.0 / (1.0 - settings.beta2**step),
+        rates = RATES.pack(
+            network=rate,
+            table=rate * settings.table_rate,
+            correction1=1.0 / (1.0 - settings.beta1**step),
+            correction2=1.0 / (1.0 - settings.beta2**step),
             # A short memory at first, or the average would remember the random start.
-            np.minimum(settings.average_decay, (1 + step) / (10 + step)),
+            average=np.minimum(settings.average_decay, (1 + step) / (10 + step)),
         )
-        device = self.device
-        return HostArray.of(device, plan), HostArray.of(device, np.stack(rates, 1).astype(np.float32))
+        return HostArray.of(self.device, plan), HostArray.of(self.device, rates)
 
     def _bind(self, plan: HostArray, rates: HostArray) -> None:
         """Set the arguments of a step's two kernels."""
         encoder, index, parameters = self._encoder, self._index, self._parameters
         self._gradients.bind(
-            plan,
-            encoder.stride,
-            encoder.features,
-            encoder.unit,
-            index.corner,
-            self._table.state,
-            self._u,
-            self._v,
-            self._target,
-            self._factor,
-            self._weight,
-            parameters.value,
-            self._grid_gradient,
-            self._partial,
+            plan=plan,
+            stride=encoder.stride,
+            features=encoder.features,
+            unit=encoder.unit,
+            corner=index.corner,
+            table=self._table.state,
+            all_u=self._u,
+            all_v=self._v,
+            all_targets=self._target,
+            factor=self._factor,
+            weights=self._weight,
+            parameters=parameters.value,
+            grid_gradient=self._grid_gradient,
+            partial=self._partial,
         )
         self._adam.bind(
-            plan,
-            rates,
-            self._partial,
-            *parameters.arrays,
-            self._loss,
-            *index.arrays,
-            self._grid_gradient,
-            self._table.state,
+            plan=plan,
+            rates=rates,
+            partial=self._partial,
+            **parameters.arrays,
+            loss=self._loss,
+            **index.arrays,
+            grid_gradient=self._grid_gradient,
+            table=self._table.state,
         )
-        # The kernels do not keep the arrays alive.
+        # The kernels do not keep these arrays alive, so this object does.
         self._bound = plan, rates
 
     def _build(self) -> Program:
@@ -313,8 +319,8 @@ class Trainer:
         hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
         floats_a_column = features + layout.feature_floats + 2 * rows + hidden + 1
         available = device.cl_device.local_mem_size
-        budget = min(CPU_LOCAL_BYTES if device.lanes == 1 else LOCAL_BYTES, available)
-        largest = CPU_MAX_TILE if device.lanes == 1 else MAX_TILE
+        budget = min(tuning.CPU_LOCAL_BYTES if device.lanes == 1 else GPU_LOCAL_BYTES, available)
+        largest = tuning.CPU_TILE if device.lanes == 1 else tuning.GPU_TILE
         self._tile = vec
         while 8 * self._tile * floats_a_column <= budget and self._tile < largest:
             self._tile *= 2
@@ -328,10 +334,8 @@ class Trainer:
         defines = {
             **description.defines(),
             **layout.defines(),
-            **{f"PLAN_{name}": word for word, name in enumerate(PLAN)},
-            **{f"RATE_{name}": word for word, name in enumerate(RATES)},
-            "PLAN_WORDS": len(PLAN),
-            "RATE_FLOATS": len(RATES),
+            **PLAN.defines(),
+            **RATES.defines(),
             "TILE": self._tile,
             "IDLE_GROUPS": f"{self._idle_groups}u",
             "ENTRY_FLOATS": f"{self._table.entry_floats}u",

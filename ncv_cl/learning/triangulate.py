@@ -9,7 +9,8 @@ import pyopencl as cl
 
 from ..integration.arrangement import Capacities
 from ..network.network import FoldedNetwork, NetworkError
-from ..opencl.device import Device, HostArray
+from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import build
 from ..sampling.warp import Warp, warp_defines
 from .density import Density
@@ -17,11 +18,9 @@ from .density import Density
 # Records held at a time; batches of samples are cut to points that fit.
 RECORD_BYTES = 64 << 20
 # |sum of areas - 1| beyond which a point's square is left undivided; that of the integrals.
-AREA_TOLERANCE = 1e-5
+COVER_TOLERANCE = 1e-5
 # Most of the square that may lie in triangles too small to be chosen: the largest bias there is.
 MISSED_AREA = 1e-6
-# Groups on a GPU: enough to hide latencies.
-GROUPS_PER_COMPUTE_UNIT = 8
 # A triangle's three corners share a word.
 VERTEX_BITS = 10
 # Floats of a record are padded to a cache line.
@@ -31,9 +30,9 @@ RECORD_PADDING = 16
 class TriangleWarp(Warp):
     """Density linear on the triangles into which the network's first layer cuts each point's square.
 
-    The magnitude at the triangles' corners is that of `density`'s tables, so both densities know the
-    same. Records are built for the points of one batch at a time: they are too large to keep for all
-    (some 5 kB each for 16 lines).
+    The magnitude at the triangles' corners is read off `density`'s tables. Records are built for the
+    points of one batch at a time, since they are too large to be kept for all (some 5 kB each for 16
+    lines).
 
     Parameters
     ----------
@@ -47,7 +46,7 @@ class TriangleWarp(Warp):
     ----------
     undivided : int
         Points so far, counted once a batch, whose triangles did not cover the square within
-        `AREA_TOLERANCE`, or more than `MISSED_AREA` of it by slivers, and which are sampled from two
+        `COVER_TOLERANCE`, or more than `MISSED_AREA` of it by slivers, and which are sampled from two
         triangles instead.
 
     Notes
@@ -93,7 +92,11 @@ class TriangleWarp(Warp):
                 f"of the first layer can make {bounds.vertices}: use density 'table'"
             )
         self._device = device
-        self._inputs = [folded.groups["W1"], folded.groups["B1"], density.table]
+        self._inputs = {
+            "w1": folded.groups["W1"],
+            "b1": folded.groups["B1"],
+            "tables": density.table,
+        }
         self.defines = _record_defines(bounds, density.uniform_share)
         stride = math.ceil(lines / vector) * vector
         strides = {g: description.defines()[f"STRIDE_{g}"] for g in ("W1", "B1")}
@@ -111,19 +114,19 @@ class TriangleWarp(Warp):
             "MAX_HALF_EDGES": bounds.half_edges + 1,
             "MAX_FACES": bounds.faces,
             "MAX_TRIANGLES": bounds.triangles,
-            "AREA_TOLERANCE": f"{AREA_TOLERANCE!r}f",
+            "AREA_TOLERANCE": f"{COVER_TOLERANCE!r}f",
             "MISSED_AREA": f"{MISSED_AREA!r}f",
         }
         self.record_words = int(self.defines["RECORD_WORDS"])
         self.most_points = max(1, RECORD_BYTES // (4 * self.record_words))
         self._program = build(device, ("common", "number", "dcel", "warp", "triangulate"), self._defines)
         memory = HostArray(device, 1, np.int32)
-        self._program.kernel("triangulate_memory")(1, memory, group=1)
+        self._program.kernel("triangulate_memory")(1, bytes=memory, group=1)
         units = device.cl_device.max_compute_units
         self._groups = units if device.lanes == 1 else units * GROUPS_PER_COMPUTE_UNIT
         work_bytes = self._groups * int(memory.read()[0])
         self._work = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size=work_bytes)
-        self._records = HostArray(device, (1, self.record_words), np.float32)
+        self._records = HostArray(device, (1, self.record_words), np.uint32)
         self._failed = HostArray(device, 1, np.int32)
         self._failed.fill(0)
 
@@ -135,16 +138,16 @@ class TriangleWarp(Warp):
         """Records of points order[i], i in `points`, valid until the next call."""
         count = len(points)
         if count > self._records.shape[0]:
-            self._records = HostArray(self._device, (count, self.record_words), np.float32)
+            self._records = HostArray(self._device, (count, self.record_words), np.uint32)
         self._program.kernel("triangulate")(
             min(self._groups, count) * self._device.lanes,
-            points.start,
-            count,
-            order,
-            *self._inputs,
-            self._work,
-            self._records,
-            self._failed,
+            first_point=points.start,
+            count=count,
+            order=order,
+            **self._inputs,
+            all_work=self._work,
+            records=self._records,
+            failed=self._failed,
             group=self._device.lanes,
         )
         return self._records
@@ -152,22 +155,17 @@ class TriangleWarp(Warp):
 
 def _record_defines(bounds: Capacities, uniform_share: float) -> dict[str, int | str]:
     """Where a record's parts begin, in words, as `-D` constants."""
-    sizes = {
-        "COUNT": 1,
-        "CUMULATIVE": bounds.triangles + 1,
-        "CORNERS": bounds.triangles,
-        "SCALES": bounds.triangles,
-        "X": bounds.vertices,
-        "Y": bounds.vertices,
-        "VALUES": bounds.vertices,
+    fields = {
+        "count": 1,
+        "cumulative": bounds.triangles + 1,
+        "corners": bounds.triangles,
+        "scales": bounds.triangles,
+        "x": bounds.vertices,
+        "y": bounds.vertices,
+        "values": bounds.vertices,
     }
-    offsets, at = {}, 0
-    for name, size in sizes.items():
-        offsets[f"RECORD_{name}"] = at
-        at += size
     return {
-        **offsets,
-        "RECORD_WORDS": math.ceil(at / RECORD_PADDING) * RECORD_PADDING,
+        **Record("RECORD", fields, np.uint32, RECORD_PADDING).defines(),
         "VERTEX_BITS": VERTEX_BITS,
         "VERTEX_MASK": f"{(1 << VERTEX_BITS) - 1}u",
         "UNIFORM_SHARE": f"{uniform_share!r}f",

@@ -1,1 +1,1 @@
-"""The network: its inputs encoded, its parameters, and its weights at each point."""
+"""The network: its inputs encoded, its parameters, its weights at each point."""

@@ -12,12 +12,12 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import Program, build
 from ..points.points import INPUTS, ShadingPoints, surface_defines
 
-# Shading points that extend over less than this part of the scene have a grid of their own; the part of
-# them that may lie outside it, to each side.
-SMALL_PART, OUTLIERS = 1 / 8, 1 / 50
+# Shading points that extend over less than this part of the scene, three levels of its grid, have a grid
+# of their own; a few of them may lie outside it, this part to each side.
+SMALL_PART, OUTLIERS = 1 / 8, 1 / 64
 # What the kernels can hold: vectors of so many features, indices of 32 bits.
 ENTRY_FEATURES = (1, 2, 4, 8, 16)
-MOST_CELLS = 1 << 30
+MOST_GRID_CELLS = 1 << 30
 MOST_TABLE_FLOATS = 1 << 28
 
 
@@ -28,7 +28,7 @@ class Encoding:
     Attributes
     ----------
     inputs : tuple of str
-        Which of `INPUTS` are fed. Position is always among them.
+        Which of `INPUTS` the network gets. Position is always one of them.
     grid_levels, grid_features, grid_base, grid_entries : int
         The hash grid over position: levels, features a level, cells an axis of the coarsest level
         (each next one has twice as many), table entries a level.
@@ -44,18 +44,18 @@ class Encoding:
     blob_bins: int = 4
 
     def __post_init__(self) -> None:
-        # Whatever a file says ends up in kernels' constants.
+        # A network's file sets these, and they become constants of kernels: so they are checked.
         some_of("inputs", self.inputs, INPUTS)
         if "position" not in self.inputs:
             raise ValueError(f"inputs must hold position, are {self.inputs!r}")
-        for name, most in (("levels", 32), ("base", MOST_CELLS), ("entries", 1 << 24)):
+        for name, most in (("levels", 32), ("base", MOST_GRID_CELLS), ("entries", 1 << 24)):
             whole_number(f"grid_{name}", getattr(self, f"grid_{name}"), 1, most)
         if self.grid_features not in ENTRY_FEATURES:
             raise ValueError(f"grid_features must be of {ENTRY_FEATURES}, is {self.grid_features!r}")
-        if self.grid_base << (self.grid_levels - 1) > MOST_CELLS:
+        if self.grid_base << (self.grid_levels - 1) > MOST_GRID_CELLS:
             raise ValueError(
                 f"the finest of grid_levels {self.grid_levels} over grid_base {self.grid_base} has more "
-                f"than {MOST_CELLS} cells an axis"
+                f"than {MOST_GRID_CELLS} cells an axis"
             )
         if self.grid_entries * self.grid_rows > MOST_TABLE_FLOATS:
             raise ValueError(f"the hash grid's table would hold more than {MOST_TABLE_FLOATS} numbers")
@@ -127,8 +127,9 @@ class GridCube:
     def of_points(cls, points: ShadingPoints, bounds: np.ndarray) -> GridCube:
         """The cube around a scene's `bounds`, or around its shading points if these fill little of it.
 
-        Both in the world. The grid's finest cells are a fixed part of the cube: on a ground that reaches
-        to the horizon all that is seen would share one. A few points far off count as at its sides.
+        In world space. The finest cells are a fixed part of the cube, so around a ground that reaches to
+        the horizon everything in view would lie in one cell. A few points may lie outside the cube; they
+        count as on its sides.
         """
         whole = cls.around(bounds)
         if not points.active:
@@ -138,10 +139,10 @@ class GridCube:
         seen = cls.around(most)
         return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
 
-    def about(self, origin: np.ndarray) -> tuple[float, float, float, float]:
+    def about(self, origin: np.ndarray) -> dict[str, float]:
         """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
-        x, y, z = np.asarray(self.lower) - origin
-        return float(x), float(y), float(z), 1.0 / self.side
+        x, y, z = (np.asarray(self.lower) - origin).tolist()
+        return {"lower_x": x, "lower_y": y, "lower_z": z, "inverse_side": 1.0 / self.side}
 
 
 class Encoder:
@@ -172,14 +173,14 @@ class Encoder:
         self._corners = (encoding.grid_levels * 8, self.stride)
         self._program.kernel("encode_fixed")(
             self._items,
-            self.count,
-            self.stride,
-            points.total,
-            *cube.about(points.origin),
-            order,
-            points.surface,
-            self._unit,
-            self.features,
+            count=self.count,
+            stride=self.stride,
+            total_points=points.total,
+            **cube.about(points.origin),
+            order=order,
+            surface=points.surface,
+            unit=self._unit,
+            features=self.features,
         )
 
     @property
@@ -190,7 +191,12 @@ class Encoder:
     def encode_grid(self, table: HostArray) -> None:
         """Refresh the grid's feature rows from `table`."""
         self._program.kernel("encode_grid")(
-            self._items, self.count, self.stride, self._unit, table, self.features
+            self._items,
+            count=self.count,
+            stride=self.stride,
+            unit=self._unit,
+            table=table,
+            features=self.features,
         )
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +205,12 @@ class Encoder:
         corner = HostArray(device, self._corners, np.uint32)
         weight = HostArray(device, self._corners, np.float32)
         self._program.kernel("grid_corners")(
-            self._items, self.count, self.stride, self._unit, corner, weight
+            self._items,
+            count=self.count,
+            stride=self.stride,
+            unit=self._unit,
+            corner=corner,
+            weight=weight,
         )
         return corner.read()[:, : self.count], weight.read()[:, : self.count]
 
@@ -247,7 +258,7 @@ class GridIndex:
         uint32 (columns, levels * 8), the entries around each column.
     batches : list of range
         For each minibatch, its items in `entries` and `starts`.
-    arrays : tuple of HostArray
+    arrays : dict of HostArray
         entries, starts, places and weights as adam.cl reads them.
     """
 
@@ -264,7 +275,7 @@ class GridIndex:
         parts: list[list[np.ndarray]] = [[], [], [], []]
         self.batches = []
         entries = pairs = 0
-        # Batch by batch, so that what is sorted and gathered stays in the cache.
+        # One minibatch at a time, so that what is sorted stays in the cache.
         for batch in batches:
             own = slice(batch.start, batch.stop)
             entry, starts, number = _by_entry(corner[:, own])
@@ -276,7 +287,8 @@ class GridIndex:
             entries += len(entry)
             pairs += len(number)
         parts[1].append(np.array([pairs], np.uint32))
-        self.arrays = tuple(HostArray.of(device, np.concatenate(part)) for part in parts)
+        whole = (HostArray.of(device, np.concatenate(part)) for part in parts)
+        self.arrays = dict(zip(("entries", "starts", "places", "weights"), whole, strict=True))
 
 
 def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -28,23 +28,23 @@ from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
 from .encode import Encoding, GridCube
 
-# What exact integration and the kernels bear.
+# The widest hidden layer, and the most channels, that exact integration and the kernels take.
 WIDEST, MOST_CHANNELS = 128, 256
 # Points whose features are held at a time while they are folded.
 POINTS_PER_FOLD = 1 << 16
 
 
 class NetworkError(ValueError):
-    """A network that does not fit: a bad file, or other features than the scene's."""
+    """A network that cannot be used: a bad file, or inputs or channels that do not fit the scene."""
 
 
 # Groups of weights that φ may act on, in the order of their rows; W2 is the same for all points.
-GROUPS = ("W1", "B1", "B2", "W3", "B3")
+WEIGHT_GROUPS = ("W1", "B1", "B2", "W3", "B3")
 
 
 @dataclass(frozen=True)
 class NetworkDescription:
-    """All that fixes the network but its numbers; training, inference and integration follow it.
+    """The shape of a network: all but its numbers.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class NetworkDescription:
     hidden : tuple of int
         Widths of the two hidden ReLU layers.
     modulated : tuple of str
-        Those of `GROUPS` that are ``base + head · features(φ)``; the others are ``base`` alone.
+        Those of `WEIGHT_GROUPS` that are ``base + head · features(φ)``; the others are ``base`` alone.
     demodulated : bool
         Whether the network learns f over the mean of its unshadowed part, point by point.
     """
@@ -62,7 +62,7 @@ class NetworkDescription:
     encoding: Encoding
     channels: int
     hidden: tuple[int, int] = (16, 16)
-    modulated: tuple[str, ...] = GROUPS
+    modulated: tuple[str, ...] = WEIGHT_GROUPS
     demodulated: bool = False
 
     def __post_init__(self) -> None:
@@ -71,7 +71,7 @@ class NetworkDescription:
             raise ValueError(f"hidden must be the widths of two layers, is {self.hidden!r}")
         for width in self.hidden:
             whole_number("hidden", width, 1, WIDEST)
-        some_of("modulated", self.modulated, GROUPS)
+        some_of("modulated", self.modulated, WEIGHT_GROUPS)
         if not isinstance(self.demodulated, bool):
             raise ValueError(f"demodulated must be true or false, is {self.demodulated!r}")
 
@@ -90,8 +90,8 @@ class NetworkDescription:
     @property
     def group_rows(self) -> dict[str, int]:
         """First row of each group: modulated groups, which have heads, come first."""
-        order = [g for g in GROUPS if g in self.modulated] + [
-            g for g in GROUPS if g not in self.modulated
+        order = [g for g in WEIGHT_GROUPS if g in self.modulated] + [
+            g for g in WEIGHT_GROUPS if g not in self.modulated
         ]
         rows, row = {}, 0
         for group in order:
@@ -122,7 +122,7 @@ class NetworkDescription:
         return w2, heads, parameters[bases_at:]
 
     def base(self, parameters: np.ndarray, group: str) -> np.ndarray:
-        """View of a group's base: what it is where all features are zero."""
+        """View of a group's base, its value where all features are zero."""
         _, heads, bases = self.unpack(parameters)
         rows, shape = self.group_rows[group], self.group_shapes[group]
         count = math.prod(shape)
@@ -134,7 +134,7 @@ class NetworkDescription:
     def fold_layout(self, width: int) -> tuple[dict[str, int], int]:
         """First row of each modulated group, padded to vectors of `width`, and the number of rows."""
         offsets, row = {}, 0
-        for group in GROUPS:
+        for group in WEIGHT_GROUPS:
             if group in self.modulated:
                 offsets[group] = row
                 row += -(-math.prod(self.group_shapes[group]) // width) * width
@@ -143,16 +143,13 @@ class NetworkDescription:
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of mlp.cl."""
         shapes = self.group_shapes
-        heads_at = math.prod(self.hidden)
-        strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in GROUPS}
+        strides = {g: math.prod(shapes[g]) if g in self.modulated else 0 for g in WEIGHT_GROUPS}
         return {
             **self.encoding.defines(),
             **{f"ROW_{group}": row for group, row in self.group_rows.items()},
             **{f"STRIDE_{group}": stride for group, stride in strides.items()},
             "HEAD_ROWS": self.head_rows,
             "BASE_ROWS": self.base_rows,
-            "AT_HEADS": heads_at,
-            "AT_BASES": heads_at + self.head_rows * (self.encoding.feature_count + 1),
             "HIDDEN1": self.hidden[0],
             "HIDDEN2": self.hidden[1],
             "CHANNELS": self.channels,
@@ -234,7 +231,7 @@ class Network:
         Parameters
         ----------
         companions : ndarray
-            Arrays of what was trained beside the network, kept in the same file under their names.
+            Further arrays for the same file, by name: the density network's.
         """
         write_whole(path, lambda file: self.write(file, **companions))
 
@@ -251,7 +248,7 @@ class Network:
         Raises
         ------
         NetworkError
-            If the file is none of ours or its arrays do not fit its description.
+            If the file is not a network's, or its arrays do not fit its description.
         """
         try:
             return cls.of_arrays(read_arrays(path))
@@ -272,7 +269,7 @@ class Network:
         stored = record_of(about["description"], "description", names)
         names = (field.name for field in fields(Encoding))
         encoding = record_of(stored["encoding"], "encoding", names)
-        # JSON knows lists only; what else these are is checked where they are used.
+        # JSON has lists only; their elements are checked where they are used.
         lists = {"inputs": encoding["inputs"]} | {k: stored[k] for k in ("hidden", "modulated")}
         if not all(isinstance(one, list) for one in lists.values()):
             raise ValueError("inputs, hidden and modulated must be lists")
@@ -304,7 +301,7 @@ class FoldedNetwork:
 
     Attributes
     ----------
-    arrays : tuple of HostArray
+    arrays : dict of HostArray
         w1, b1, w2, b2, w3, b3 as mlp.cl takes them: modulated groups with a leading points axis.
     """
 
@@ -346,29 +343,28 @@ class FoldedNetwork:
         heads_array = HostArray.of(device, transposed)
         build(device, ("common", "surface", "encode", "fold"), defines).kernel("fold")(
             -(-points.active // width),
-            points.active,
-            points.total,
-            *network.cube.about(points.origin),
-            points.surface,
-            HostArray.of(device, network.table),
-            heads_array,
-            factor if factor is not None else heads_array,
-            *(self.groups[group] for group in GROUPS),
+            count=points.active,
+            total_points=points.total,
+            **network.cube.about(points.origin),
+            surface=points.surface,
+            table=HostArray.of(device, network.table),
+            heads=heads_array,
+            factor=factor if factor is not None else heads_array,
+            **{group.lower(): self.groups[group] for group in WEIGHT_GROUPS},
         )
         device.queue.finish()
 
     @property
-    def arrays(self) -> tuple[HostArray, ...]:
-        groups = self.groups
-        return groups["W1"], groups["B1"], self._w2, groups["B2"], groups["W3"], groups["B3"]
+    def arrays(self) -> dict[str, HostArray]:
+        return {"w2": self._w2, **{group.lower(): array for group, array in self.groups.items()}}
 
     def program(self) -> Program:
         return build(self.device, ("common", "mlp"), self.network.description.defines())
 
     def layers(self) -> tuple[list[HostArray], list[HostArray]]:
         """Weights and biases as `Integrator.run` takes them."""
-        w1, b1, w2, b2, w3, b3 = self.arrays
-        return [w1, w2, w3], [b1, b2, b3]
+        arrays = self.arrays
+        return [arrays[w] for w in ("w1", "w2", "w3")], [arrays[b] for b in ("b1", "b2", "b3")]
 
     @property
     def per_point(self) -> tuple[list[bool], list[bool]]:

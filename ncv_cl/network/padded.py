@@ -1,10 +1,11 @@
-"""A network's parameters as training holds them: rows of whole vectors, their moments and averages."""
+"""A network's parameters in training: rows padded to whole vectors, moments, moving averages."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from .network import NetworkDescription
 
 
@@ -19,31 +20,33 @@ class PaddedLayout:
         first, second = description.hidden
         self.w2_stride = padded(first)
         self.feature_floats = padded(description.encoding.feature_count + 1)
-        self.heads_at = second * self.w2_stride
-        self.bases_at = self.heads_at + description.head_rows * self.feature_floats
-        self.loss_at = self.bases_at + description.base_rows
-        self.size = padded(self.loss_at + 1)
+        # In a vector of gradients the loss rides behind them.
+        fields = {
+            "w2": second * self.w2_stride,
+            "heads": description.head_rows * self.feature_floats,
+            "bases": description.base_rows,
+            "loss": 1,
+        }
+        self._record = Record("PARAMETER", fields, multiple=width)
+        self.size = self._record.size
 
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of train.cl and adam.cl about it."""
         return {
             "W2_STRIDE": self.w2_stride,
             "FEATURE_FLOATS": self.feature_floats,
-            "AT_HEADS": self.heads_at,
-            "AT_BASES": self.bases_at,
-            "AT_LOSS": self.loss_at,
-            "PARTIAL_FLOATS": f"{self.size}u",
+            **self._record.defines(),
         }
 
     def _views(self, padded: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        w2 = padded[: self.heads_at].reshape(-1, self.w2_stride)
-        heads = padded[self.heads_at : self.bases_at].reshape(-1, self.feature_floats)
+        w2 = padded[self._record["w2"]].reshape(-1, self.w2_stride)
+        heads = padded[self._record["heads"]].reshape(-1, self.feature_floats)
         description = self._description
         columns = description.encoding.feature_count + 1
         return (
             w2[:, : description.hidden[0]],
             heads[:, :columns],
-            padded[self.bases_at : self.loss_at],
+            padded[self._record["bases"]],
         )
 
     def pack(self, parameters: np.ndarray) -> np.ndarray:
@@ -68,5 +71,11 @@ class Averaged:
         self.average = HostArray.of(device, start)
 
     @property
-    def arrays(self) -> tuple[HostArray, HostArray, HostArray, HostArray]:
-        return self.value, self.moment1, self.moment2, self.average
+    def arrays(self) -> dict[str, HostArray]:
+        """As adam.cl calls them."""
+        return {
+            "parameters": self.value,
+            "moment1": self.moment1,
+            "moment2": self.moment2,
+            "average": self.average,
+        }

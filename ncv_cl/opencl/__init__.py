@@ -1,1 +1,1 @@
-"""OpenCL: runtimes and devices, memory, programs from kernel texts."""
+"""Runtimes and devices, memory, programs from kernel texts."""

@@ -59,7 +59,7 @@ def _listed() -> list[Device]:
 
 
 def devices() -> DeviceList:
-    """Every OpenCL device with a fresh micro-benchmark of about a second each, or why it cannot be used.
+    """Every OpenCL device, benchmarked now for about a third of a second each, or why it cannot be used.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _chosen(selector: int | str | None) -> Device:
 
 
 def _preference(device: Device) -> tuple[int, tuple[int, int]]:
-    """The larger, the faster, as measured on CPUs of several kinds; equals keep the loader's order."""
+    """A rank: the highest measured fastest on several CPUs; equal ones keep the loader's order."""
     version = pocl_version(device.cl_device)
     if device.is_gpu:
         return 4, (0, 0)
@@ -135,7 +135,7 @@ def _match(found: list[Device], selector: int | str) -> Device:
         raise DeviceError(f"there is no device {text}; choose among\n{lines}")
     matches = [device for device in found if text.lower() in _names(device)]
     if len(matches) > 1:
-        # What cannot be used is not meant, where there is another of the name.
+        # Of several devices with this name only the usable ones count.
         matches = [device for device in matches if device.problem is None] or matches[:1]
     if len(matches) == 1:
         return matches[0]
@@ -153,11 +153,11 @@ def _match_as_pyopencl(found: list[Device]) -> Device:
     try:
         answers = value.split(":")
         if answers[0].isdecimal() or not answers[0]:
-            # Counted as without the platform that this package adds, which the loader may put first.
+            # Indices count without the platform that this package adds, which the loader may list first.
             answers[0] = str(cl.get_platforms().index(platforms()[int(answers[0] or 0)]))
         wanted = cl.create_some_context(interactive=False, answers=answers).devices[0]
         return next(device for device in found if device.cl_device == wanted)
-    # Whatever pyopencl makes of a text that names nothing: its own errors, ValueError, IndexError.
+    # For a text that names no device pyopencl raises its own errors, ValueError or IndexError.
     except Exception as error:
         lines = "\n".join(f"  {device.describe()}" for device in found)
         raise DeviceError(

@@ -19,13 +19,18 @@ from .runtimes import loaded_elsewhere, platforms
 GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate.
 GROUP_SIZE = 64
+# Groups on a GPU that share work among themselves: enough to hide latencies, few enough to keep their
+# tables in the cache.
+GROUPS_PER_COMPUTE_UNIT = 8
+# Local memory that every GPU has.
+GPU_LOCAL_BYTES = 48 << 10
 
 # PoCL ends a device's version by the CPU that its LLVM compiles for; these lack AVX-512. LLVM 14 takes
 # newer AMD CPUs for one; PoCL 3.0 claims vectors of 64 bytes all the same, and aborts over them.
 _NO_AVX512 = re.compile(r"-(znver[123]|generic|x86-64)$")
 _AVX_BYTES = 32
 
-# LLVM's name for an x86-64 CPU that it does not know; as a target it has none of this name.
+# What LLVM calls an x86-64 CPU that it does not know. It does not accept this name as a target.
 _UNKNOWN_CPU = re.compile(r"x86_64\S*-generic$")
 
 _POCL = re.compile(r"PoCL (\d+)\.(\d+)")
@@ -47,7 +52,7 @@ class DeviceError(RuntimeError):
 
 
 def check_process() -> None:
-    """Refuse to go on where OpenCL would hang.
+    """Raise where the next OpenCL call would hang.
 
     Raises
     ------
@@ -66,7 +71,7 @@ _Made = TypeVar("_Made")
 
 
 def once(make: Callable[..., _Made]) -> Callable[..., _Made]:
-    """`functools.cache` for what must not be made twice, whichever threads ask at a time."""
+    """`functools.cache` under a lock: threads that ask at the same time get the same object."""
     made, lock = functools.cache(make), threading.RLock()
 
     @functools.wraps(make)
@@ -209,9 +214,9 @@ def pocl_version(cl_device: cl.Device) -> tuple[int, int] | None:
 def prefers_fma(cl_device: cl.Device) -> bool:
     """Whether ``fma`` is at least as fast on a device as ``a * b + c`` that may be contracted.
 
-    The two differ in the last bit, so what decides is known of the device, never a stopwatch. Measured:
-    to PoCL 3.0 `fma` is a call of a function, at half the speed; PoCL 3.1 and Intel's runtime make an
-    instruction of both; GPUs contract by themselves.
+    The two differ in the last bit, so the choice must not depend on a clock: it follows from the
+    device's name and version. Measured: PoCL 3.0 calls a function for `fma`, at half the speed; PoCL 3.1
+    and Intel's runtime make one instruction of either; GPU compilers contract by themselves.
     """
     version = pocl_version(cl_device)
     if version is None or cl_device.type & cl.device_type.GPU:
@@ -220,7 +225,7 @@ def prefers_fma(cl_device: cl.Device) -> bool:
 
 
 def widest_vectors(cl_device: cl.Device, item_bytes: int = 4) -> int:
-    """The widest VEC of numbers of so many bytes that the device's compiler survives."""
+    """The widest VEC, for numbers of this many bytes, that the device's compiler does not abort over."""
     claims_avx512 = cl_device.native_vector_width_float >= 16
     if claims_avx512 and _NO_AVX512.search(cl_device.version.strip()):
         return _AVX_BYTES // item_bytes
@@ -235,7 +240,7 @@ def open_device(
     lanes: int | None = None,
     use_fma: bool | None = None,
 ) -> Device:
-    """Open a device with a context and a queue; what is given simulates another shape or compiler.
+    """Open a device with a context and a queue; the last arguments override its default shape.
 
     Raises
     ------
@@ -282,7 +287,7 @@ def list_cl_devices() -> list[cl.Device]:
     found: list[cl.Device] = []
     without: list[str] = []
     for platform in registered:
-        # A driver that does not find its hardware takes no other runtime with it.
+        # A driver without its hardware raises; the other runtimes are listed all the same.
         try:
             of_platform, said = platform.get_devices(), "none"
         except cl.Error as error:

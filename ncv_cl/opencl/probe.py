@@ -43,7 +43,7 @@ def measure(device: Device) -> Probe:
         values.fill(1.0)
         device.queue.finish()
         started = time.perf_counter()
-        kernel(ITEMS, 0.5, 1.0, values)
+        kernel(ITEMS, a=0.5, b=1.0, values=values)
         device.queue.finish()
         times.append(time.perf_counter() - started)
     # The fixed point of x / 2 + 1.

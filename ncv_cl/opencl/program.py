@@ -10,21 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
-from .device import GROUP_SIZE, Device, HostArray
-
-_SCALAR_TYPES = {
-    "char": np.int8,
-    "uchar": np.uint8,
-    "int": np.int32,
-    "uint": np.uint32,
-    "long": np.int64,
-    "ulong": np.uint64,
-    "float": np.float32,
-    "double": np.float64,
-}
+from .device import Device
+from .kernel import Kernel
 
 
 def kernel_folder() -> Path:
@@ -41,14 +30,14 @@ def kernel_files() -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class KernelText:
-    """The text of a kernel file that is not one of ours.
+    """The text of a kernel file that is not part of the package.
 
     Attributes
     ----------
     name : str
         What compilers call it in their messages, such as the file's path.
     text : str
-        All caches of programs know it by this.
+        Programs are cached by this text, not by the name.
     """
 
     name: str
@@ -60,7 +49,7 @@ class KernelText:
         return cls(str(path), path.read_text(encoding="utf-8-sig"))
 
 
-# A file of the kernel folder by its base name without suffix, or another's text.
+# A file of the package by its base name without suffix, or a text.
 KernelFile = str | KernelText
 
 
@@ -94,62 +83,6 @@ def device_defines(device: Device) -> dict[str, int]:
 def option_list(defines: Mapping[str, int | str]) -> list[str]:
     """Compiler options for a set of defines, in a fixed order (the driver's cache keys on them)."""
     return ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
-
-
-class Kernel:
-    """A kernel with its scalar argument types, taken from its own signature.
-
-    Threads may share one: OpenCL kernels hold their arguments, so a call sets them and enqueues under a
-    lock. `bind` and `repeat` are two calls, for a kernel that nobody else has (`Program.own_kernel`).
-    """
-
-    def __init__(self, device: Device, kernel: cl.Kernel) -> None:
-        self.device = device
-        self.name = kernel.function_name
-        info = cl.kernel_arg_info
-        self._argument_names = []
-        types: list[type | None] = []
-        for position in range(kernel.num_args):
-            type_name = kernel.get_arg_info(position, info.TYPE_NAME).strip("\0 ")
-            self._argument_names.append(kernel.get_arg_info(position, info.NAME).strip("\0 "))
-            types.append(None if type_name.endswith("*") else _SCALAR_TYPES[type_name])
-        kernel.set_scalar_arg_dtypes(types)
-        self._kernel = kernel
-        self._lock = threading.Lock()
-
-    def __call__(
-        self,
-        work_items: int | tuple[int, ...],
-        *arguments: Any,
-        group: int | tuple[int, ...] = GROUP_SIZE,
-    ) -> cl.Event | None:
-        """Enqueue over at least `work_items`, rounded up to whole groups (kernels guard the tail)."""
-        if len(arguments) != len(self._argument_names):
-            expected = ", ".join(self._argument_names)
-            raise TypeError(f"{self.name} takes ({expected}), got {len(arguments)} arguments")
-        sizes = (work_items,) if isinstance(work_items, int) else work_items
-        groups = (group,) if isinstance(group, int) else group
-        rounded = tuple(-(-size // one) * one for size, one in zip(sizes, groups, strict=True))
-        if 0 in rounded:
-            return None
-        plain = [a.buffer if isinstance(a, HostArray) else a for a in arguments]
-        with self._lock:
-            return self._kernel(self.device.queue, rounded, groups, *plain)
-
-    def bind(self, *arguments: Any) -> None:
-        """Set all arguments, for `repeat`."""
-        self._kernel.set_args(*(a.buffer if isinstance(a, HostArray) else a for a in arguments))
-
-    def repeat(self, number: int, work_items: int, group: int = GROUP_SIZE) -> None:
-        """Enqueue with the arguments that `bind` set: for kernels that run for microseconds only.
-
-        All that differs is `number`, in which the kernel can look up the rest: it is what
-        ``get_global_offset(0) / get_local_size(0)`` yields.
-        """
-        rounded = -(-work_items // group) * group
-        cl.enqueue_nd_range_kernel(
-            self.device.queue, self._kernel, (rounded,), (group,), (number * group,)
-        )
 
 
 class Program:
@@ -187,7 +120,7 @@ def _complaint(
     files: tuple[KernelFile, ...],
     defines: Mapping[str, int | str],
 ) -> str:
-    """What did not compile, and the compiler's words, those about other people's texts first."""
+    """What did not compile, and the compiler's messages, those about `KernelText`s first."""
     names = [file if isinstance(file, str) else file.name for file in files]
     theirs = [file.name for file in files if not isinstance(file, str)]
     failed = f"building {' + '.join(names)} failed on {device.name} with {dict(defines)}:\n{error}"
@@ -198,9 +131,9 @@ def _complaint(
 
 
 def _built(device: Device, text: str, options: list[str]) -> cl.Program:
-    """The program with what its kernels say of their arguments.
+    """The built program, with the names and types of its kernels' arguments.
 
-    Binaries that pyopencl keeps have lost that on Intel's runtime, where the text is compiled once more.
+    On Intel's runtime the binaries in pyopencl's cache lack these; the text is then compiled again.
     """
     with warnings.catch_warnings():
         # Intel's compiler reports every build, also those without anything to warn of.
@@ -216,9 +149,9 @@ def _built(device: Device, text: str, options: list[str]) -> cl.Program:
 
 
 def _compiled(device: Device, text: str, options: list[str]) -> cl.Program:
-    """The program, at a second try if need be.
+    """Compile the program, twice if the first try fails.
 
-    When a signal comes, LLVM deletes the temporary files of the compilation under way, which then fails.
+    When a signal arrives, LLVM deletes its temporary files, and the compilation under way fails.
     """
     try:
         return cl.Program(device.context, text).build(options)

@@ -21,11 +21,11 @@ _VENDORS = Path("/etc/OpenCL/vendors")
 _VARIABLE = "OCL_ICD_VENDORS"
 _INTEL_PACKAGE, _INTEL_LIBRARY = "intel-opencl-rt", "libintelocl.so"
 INTEL_PLATFORM = "Intel(R) OpenCL"
-# Where Linux tells which files a process has loaded.
+# On Linux, the list of files that this process has mapped.
 _MAPS = Path("/proc/self/maps")
 
 
-# The process that the runtimes were loaded in, and that has their threads; None: not loaded.
+# Id of the process that loaded the runtimes and has their threads; None: not loaded.
 _home: int | None = None
 _lock = threading.Lock()
 
@@ -33,13 +33,13 @@ _lock = threading.Lock()
 def loaded_elsewhere() -> bool:
     """Whether this process was forked from one that had loaded OpenCL: then no call may be made.
 
-    Runtimes keep threads, which no fork copies: the next call would wait for them for ever.
+    A fork does not copy the runtimes' threads, so the next call would wait for them for ever.
     """
     return _home is not None and _home != os.getpid()
 
 
 def _look_in_fork() -> None:
-    """In a process just forked: whether somebody else, such as pyopencl's user, had loaded a runtime."""
+    """In a new fork: notice a runtime that other code, such as pyopencl, loaded in the parent."""
     global _home
     if _home is None and loaded_libraries():
         _home = os.getppid()
@@ -50,7 +50,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def loaded_libraries() -> list[str]:
-    """Those registered runtimes' libraries that this process has loaded, as far as the system tells."""
+    """Libraries of registered runtimes that this process has loaded, if the system tells."""
     named = Path(os.environ.get(_VARIABLE) or _VENDORS)
     entries = [named] if named.suffix == ".icd" else [*named.glob("*.icd"), *_LOADER.glob("*.icd")]
     libraries = [named.name, _INTEL_LIBRARY]
@@ -59,17 +59,17 @@ def loaded_libraries() -> list[str]:
         loaded = _MAPS.read_text(encoding="utf-8", errors="replace")
     except (OSError, UnicodeDecodeError):
         return []
-    # Versions follow the suffix, and differ between an entry and the file that it leads to.
+    # What follows `.so` is a version, which may differ between an entry and the file it names.
     stems = {name.partition(".so")[0] for name in libraries if ".so" in name}
     return sorted(stem for stem in stems if f"/{stem}.so" in loaded)
 
 
 def platforms() -> list[cl.Platform]:
-    """Every OpenCL platform; one that is found in the Python environment alone comes last.
+    """Every OpenCL platform; Intel's, if only pip installed it, comes last.
 
-    pip's package of Intel's CPU runtime registers nothing, as it cannot write outside the environment.
-    So the loader is shown a folder with the system's entries and one more while it looks, which it does
-    once a process. Where `OCL_ICD_VENDORS` is set, that alone counts.
+    pip's package of Intel's CPU runtime cannot register itself with the system. So while the loader
+    looks for runtimes, which it does once a process, `OCL_ICD_VENDORS` names a temporary folder with the
+    system's entries and Intel's. If the user has set that variable, it is left as it is.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def platforms() -> list[cl.Platform]:
         If there is none.
     """
     global _home
-    # One thread at a time, as the variable is everybody's.
+    # One thread at a time, since the variable belongs to the whole process.
     with _lock:
         _home = os.getpid()
         return _platforms()
@@ -91,7 +91,7 @@ def _platforms() -> list[cl.Platform]:
         return cl.get_platforms()
     with tempfile.TemporaryDirectory(prefix="ncv_cl-") as folder:
         for entry in sorted(_VENDORS.glob("*.icd")):
-            # An entry that nobody may read is none for the loader either.
+            # The loader cannot read such an entry either.
             with suppress(OSError):
                 shutil.copy(entry, folder)
         (Path(folder) / "ncv_cl-intel.icd").write_text(f"{library}\n", encoding="utf-8")

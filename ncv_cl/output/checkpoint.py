@@ -1,4 +1,4 @@
-"""What a render has so far, in a file: to go on after an interruption as if there had been none."""
+"""Checkpoints: the state of a render in a file, from which it can go on to the same bits."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from ..host.files import (
 from ..learning.density import DensityNetwork
 from ..network.network import Network
 from ..sampling.accumulate import Estimate
-from ..sampling.guide import CELLS, Guide
+from ..sampling.guide import GUIDE_CELLS, Guide
 from ..sampling.warp import DENSITY_WORDS
 
-# What of a checkpoint is kept as JSON.
+# The parts of a checkpoint that are kept as JSON.
 ABOUT = ("identity", "method", "edges")
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that cannot be gone on from: broken, or of another render."""
+    """A checkpoint that this render cannot resume: broken, or of another render."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,15 @@ class Checkpoint:
     states : list of (ndarray, ndarray)
         Each accumulator's state and its points' numbers of samples.
     before : Estimate, optional
-        Of what was sampled before the passes.
-    network, density : optional
-        The control variate and its density.
+        Of f, from the training samples or the pilot.
+    network, density_network : optional
+        The control variate's network, and the one of its density.
     alpha : ndarray, optional
         The control variate's coefficients.
     parts : list of ndarray
         As `ImageEstimate` keeps them.
     guide : Guide, optional
-        What guides paths.
+        Densities that guide bounces.
     """
 
     identity: dict[str, object]
@@ -64,7 +64,7 @@ class Checkpoint:
     states: list[tuple[np.ndarray, np.ndarray]]
     before: Estimate | None
     network: Network | None
-    density: DensityNetwork | None
+    density_network: DensityNetwork | None
     alpha: np.ndarray | None
     parts: list[np.ndarray]
     guide: Guide | None
@@ -95,7 +95,7 @@ class Checkpoint:
         if self.network is None:
             write_whole(path, lambda file: np.savez(file, **arrays))
             return
-        arrays |= self.density.arrays() if self.density is not None else {}
+        arrays |= self.density_network.arrays() if self.density_network is not None else {}
         write_whole(path, lambda file: self.network.write(file, **arrays))
 
     @classmethod
@@ -105,7 +105,7 @@ class Checkpoint:
         Raises
         ------
         CheckpointError
-            If the file is none of ours.
+            If the file is not a checkpoint.
         """
         try:
             return cls._of_arrays(read_arrays(path))
@@ -114,7 +114,7 @@ class Checkpoint:
 
     @classmethod
     def _of_arrays(cls, arrays: dict[str, np.ndarray]) -> Checkpoint:
-        """What `save` put into a file; ValueError for what is missing or not as it should be."""
+        """The checkpoint that `save` wrote as these arrays; ValueError if one is missing or wrong."""
         about = record_of(json_of(arrays, "checkpoint"), "checkpoint", ABOUT)
         if about["method"] not in ("mc", "ncv") or not isinstance(about["identity"], dict):
             raise ValueError("its method or identity is not one")
@@ -124,8 +124,8 @@ class Checkpoint:
             density = DensityNetwork.of_arrays(arrays, network.description)
         guide = None
         if "guide_means" in arrays:
-            densities = array_of(arrays, "guide_densities", np.uint32, (CELLS, DENSITY_WORDS))
-            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (CELLS, 3)))
+            densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
+            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3)))
         points = (ANY, ANY)
         return cls(
             about["identity"],
@@ -145,7 +145,7 @@ class Checkpoint:
         )
 
     def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
-        """Refuse arrays that are not of this many points, of which kernels would read too many.
+        """Refuse arrays of another number of points, beyond whose end kernels would read.
 
         Raises
         ------
@@ -157,18 +157,18 @@ class Checkpoint:
         for name, array in alike.items():
             if array is not None and array.shape != expected:
                 raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
-        if self.method == "ncv" and with_density and self.density is None:
+        if self.method == "ncv" and with_density and self.density_network is None:
             raise CheckpointError("the checkpoint lacks the density of its network")
 
     def check(self, identity: dict[str, object]) -> None:
-        """Refuse to go on with a render that would not be the same.
+        """Refuse a checkpoint of a render that differs in anything that decides bits.
 
         Raises
         ------
         CheckpointError
             Naming what differs.
         """
-        # As it comes back from the file: tuples are lists there.
+        # JSON turns tuples into lists.
         asked = json.loads(json.dumps(identity))
         names = [name for name in (self.identity | asked) if self.identity.get(name) != asked.get(name)]
         if names:
@@ -202,7 +202,7 @@ def _state(arrays: dict[str, np.ndarray], number: int) -> tuple[np.ndarray, np.n
 def _before(arrays: dict[str, np.ndarray]) -> Estimate:
     samples = _numbers_of_samples(arrays, "before_samples")
     mean = array_of(arrays, "before_mean", np.float64, (ANY, len(samples)))
-    # Not known where there are fewer than two samples.
+    # NaN where there are fewer than two samples.
     variance = array_of(arrays, "before_variance", np.float64, mean.shape, nan_allowed=True)
     if (variance < 0).any():
         raise ValueError("'before_variance' holds negative values")

@@ -1,4 +1,4 @@
-"""What a render keeps beside its picture: checkpoints, and the trained network."""
+"""Files that a render writes beside its picture: checkpoints, and the trained network."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from .checkpoint import Checkpoint
 
 @dataclass
 class Keep:
-    """Where to keep what, under which identity, and the checkpoint to go on from.
+    """Which files to write, the render's identity, and the checkpoint to resume.
 
-    What cannot be written does not cost the picture: it is warned of, once, and noted.
+    A file that cannot be written does not end the render: there is one warning, and a note in
+    `not_written`.
 
     Attributes
     ----------
@@ -30,7 +31,7 @@ class Keep:
         All that decides the image's bits.
     resumed : Checkpoint, optional
     not_written : dict
-        By path, what went wrong.
+        The error by path.
     """
 
     checkpoint: str | Path | None = None
@@ -45,7 +46,7 @@ class Keep:
             self._attempt(self.network, lambda: network.save(self.network, **companions))
 
     def note_no_network(self) -> None:
-        """Say that there is none to write."""
+        """Note that there is no network to write."""
         if self.network is not None:
             self._failed(self.network, "no network was trained")
 
@@ -66,7 +67,7 @@ class Keep:
             states=image_estimate.states(),
             before=before,
             network=variate.folded.network if variate else None,
-            density=variate.learned if variate else None,
+            density_network=variate.density_network if variate else None,
             alpha=variate.alpha if variate else None,
             parts=image_estimate.parts,
             guide=guide,

@@ -1,4 +1,4 @@
-"""What an image says of how it was made: statistics and metadata."""
+"""Statistics and metadata of an image."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def kernel_digest() -> str:
 
 @functools.cache
 def tuning_digest() -> str:
-    """A hash of the numbers that were measured, on which decisions rest."""
+    """A hash of the tuning files: the measured numbers on which decisions rest."""
     return _digest(Path(__file__).parent.parent.rglob("tuning.py"))
 
 
@@ -59,7 +59,7 @@ def statistics(
     network: Network | None,
     points_done_twice: int,
 ) -> dict[str, object]:
-    """Counts of a render; means are over the image's points, whole numbers where all have the same."""
+    """Counts of a render; means are over the sampled points."""
     drawn = _mean_samples(plain) if points.active else 0.0
     trained = _mean_samples(training)
     found: dict[str, object] = {
@@ -88,7 +88,7 @@ def statistics(
 
 
 def about_values(image: Image, reference: np.ndarray | None) -> None:
-    """Add what an image's values say of its error to its statistics, and what is wrong with them.
+    """Add to an image's statistics its estimated and measured errors, and pixels that are not finite.
 
     ``estimated_mse`` is the mean of the pixels' variances; None where one is not known. Nothing in the
     statistics is NaN or infinite.
@@ -114,7 +114,7 @@ def about_values(image: Image, reference: np.ndarray | None) -> None:
 
 
 def finite(value: object) -> object:
-    """The same with None for numbers that are NaN or infinite, of which JSON knows nothing."""
+    """The same with None for NaN and infinity, which JSON cannot hold."""
     if isinstance(value, dict):
         return {name: finite(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
@@ -126,7 +126,7 @@ def finite(value: object) -> object:
 def skips(
     points: ShadingPoints, rays: RayCount, inputs: tuple[str, ...], varying: tuple[str, ...]
 ) -> dict[str, object]:
-    """What the scene did not need, and the seconds that rays would have taken at the others' mean."""
+    """What the scene did not need; skipped rays count with the mean seconds of traced ones."""
     a_ray = rays.trace_seconds / rays.traced if rays.traced else 0.0
     return {
         "background_points": points.background,
@@ -176,7 +176,7 @@ def metadata(
         "scene_digest": scene.digest,
         "integrand": settings.integrand.name,
         "method": settings.method,
-        # Options without an entry have no value: none, or what the preset says.
+        # Options that are None are left out.
         **{name: value for name, value in chosen.items() if value is not None},
         "density": settings.residual_density,
         "allocation": settings.allocation,

@@ -10,7 +10,7 @@ from ..scene.load import Scene
 from ..settings.settings import Settings
 from .image import Image
 
-# Below this weight the training samples' estimate is left out: it could not be noticed.
+# Below this weight the training samples' estimate is left out, since it would change nothing visible.
 SMALLEST_SHARE = 0.01
 
 
@@ -19,7 +19,8 @@ def estimate_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each point's estimate and its variance, float64 (channels, points).
 
-    With a network the estimate is G + <f - g>, alpha = 1: unbiased for every network.
+    With a network the estimate is G + <f - g>, where g is already scaled by its control coefficient:
+    unbiased for every network.
     """
     if residual is None or integral is None:
         return plain.mean, plain.variance_of_mean
@@ -33,18 +34,18 @@ def combine(
     samples: float,
     by_count: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Add the training samples' own estimate to one of `mean` and `variance`, (channels, points).
+    """Average the training samples' estimate with the one of `mean` and `variance`.
 
     Parameters
     ----------
     samples : float
         Samples a point behind `mean`, as they were asked for.
     by_count : bool
-        Weigh the two by their numbers of samples, as on the slides' last page, m / (m + n) <MC> +
-        n / (m + n) (G + <f - g>): the sum is unbiased. So it is done also where `variance` is not known
-        (NaN). Else they are weighted by the inverse of their mean square errors over the image, where
-        that of the training samples is known by its difference from the other: one weight for the whole
-        image, hence consistent, and unbiased up to a term of order one over the number of points.
+        Weigh the two by their numbers of samples, as on the slides' last page, m / (m + n) <MC> + n / (m
+        + n) (G + <f - g>), which is unbiased. The same is done where no `variance` is known (NaN). Else
+        the weights are the inverse mean square errors over the image; the training samples' error is
+        estimated from their difference to the other estimate. This is one weight for the whole image:
+        consistent, with a bias of order one over the number of points.
     """
     if training is None:
         return mean, variance
@@ -68,10 +69,10 @@ def combine(
 
 
 def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) -> np.ndarray:
-    """Variances of the training samples' means, of which those `compared` had this mean square error.
+    """Variances of the training samples' means, scaled to this error of the `compared` points.
 
-    The samples are stratified: their error is what was seen, not what independent ones would have. So
-    it is for a single sample, which has no variance of its own.
+    The samples are stratified, so their error is the measured one and not that of independent samples. A
+    point with a single sample, which has no variance, gets the mean square error itself.
     """
     spread = training.variance / np.maximum(training.samples, 1)
     expected = spread[:, compared & training.known]

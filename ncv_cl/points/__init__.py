@@ -1,1 +1,1 @@
-"""Points: those of the unit square, and shading points where camera rays hit."""
+"""Points of the unit square, and shading points where camera rays hit."""

@@ -7,41 +7,44 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..opencl.device import Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import build
 from ..scene.load import Camera, Scene
 from .trace import Hits, Tracer
 
-# Floats of each property in `surface`, in the order of their rows.
-_ROWS = {
-    "POSITION": 3,
-    "NORMAL": 3,
-    "GEOMETRIC_NORMAL": 3,
-    "OUTGOING": 3,
-    "OFFSET": 1,
-    "ALBEDO": 3,
-    "REFLECTANCE": 3,
-    "ROUGHNESS": 1,
-    "LOBE_SHARE": 1,
-}
-ROW = dict(zip(_ROWS, np.cumsum([0, *_ROWS.values()])[:-1].tolist(), strict=True))
-ROW_COUNT = sum(_ROWS.values())
+# A point's properties, each number of them a row of `surface`.
+SURFACE = Record(
+    "ROW",
+    {
+        "position": 3,
+        "normal": 3,
+        "geometric_normal": 3,
+        "outgoing": 3,
+        "offset": 1,
+        "albedo": 3,
+        "reflectance": 3,
+        "roughness": 1,
+        "lobe_share": 1,
+    },
+)
+# Of a camera, right and up reach to the sides of the picture at distance 1.
+CAMERA = Record("CAMERA", {"position": 3, "forward": 3, "right": 3, "up": 3})
+MATERIAL = Record("MATERIAL", {"albedo": 3, "reflectance": 3, "roughness": 1})
 # What an integrand may depend on, and a network's inputs be, in feature order: some of these.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
 # Rays start and end off surfaces by this multiple of the coordinates that enter there (surface.cl): 32
 # rounding errors of float32, some ten times what interpolation and embree's own arithmetic lose.
 RELATIVE_OFFSET = 32 * 2.0**-24
-# Part of a triangle's extent that counts whatever its normal: the offset is nowhere zero.
+# This part of a triangle's extent counts for every normal, so that the offset is never zero.
 LEAST_SPREAD = 2.0**-10
-MATERIAL_FLOATS = 7
 CAMERA_RAYS_PER_BATCH = 1 << 19
 
 
 def surface_defines() -> dict[str, int | str]:
-    """The `-D` constants of surface.cl and points.cl."""
+    """The `-D` constants of surface.cl."""
     return {
-        **{f"ROW_{name}": row for name, row in ROW.items()},
-        "MATERIAL_FLOATS": MATERIAL_FLOATS,
+        **SURFACE.defines(),
         "RELATIVE_OFFSET": f"{RELATIVE_OFFSET!r}f",
         "LEAST_SPREAD": f"{LEAST_SPREAD!r}f",
     }
@@ -54,7 +57,7 @@ class ShadingPoints:
     Attributes
     ----------
     surface : HostArray
-        float32 (ROW_COUNT, total), rows as in surface.cl, about the scene's origin.
+        float32 (SURFACE.size, total), rows as in `SURFACE`, about the scene's origin.
     cell : ndarray
         uint32 (total,), sub-pixel of each point in row-major order on the supersampled grid.
     light : ndarray
@@ -85,10 +88,9 @@ class ShadingPoints:
         return len(self.cell)
 
     def rows(self, name: str) -> np.ndarray:
-        """A copy of one property, float32 (floats, total); `name` as in surface.cl, lower case."""
-        key = name.upper()
+        """A copy of one property, float32 (floats, total); `name` as in `SURFACE`."""
         with self.surface.mapped() as surface:
-            return surface[ROW[key] : ROW[key] + _ROWS[key]].copy()
+            return surface[SURFACE[name]].copy()
 
     def with_dark_last(self, dark: np.ndarray) -> ShadingPoints:
         """The same points, of the active ones those where `dark` (active,) is true last."""
@@ -111,27 +113,32 @@ class ShadingPoints:
 
 
 def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
-    """What points.cl reads of a camera: position, forward, scaled right, scaled up; float32 (4, 3)."""
+    """What points.cl reads of a camera, float32 (CAMERA.size,)."""
     forward = np.asarray(camera.target, float) - np.asarray(camera.position, float)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, camera.up)
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     half_height = np.tan(np.radians(camera.vertical_fov) / 2)
-    return np.array(
-        [camera.position, forward, right * half_height * (width / height), up * half_height],
-        np.float32,
+    return CAMERA.pack(
+        position=camera.position,
+        forward=forward,
+        right=right * half_height * (width / height),
+        up=up * half_height,
     )
 
 
 def material_records(scene: Scene) -> np.ndarray:
-    """float32 (materials, MATERIAL_FLOATS): albedo, reflectance, roughness."""
-    rows = [[*m.albedo, *m.reflectance, m.roughness] for m in scene.materials]
-    return np.array(rows, np.float32).reshape(-1, MATERIAL_FLOATS)
+    """What points.cl reads of the materials, float32 (materials, MATERIAL.size)."""
+    records = [
+        MATERIAL.pack(albedo=one.albedo, reflectance=one.reflectance, roughness=one.roughness)
+        for one in scene.materials
+    ]
+    return np.array(records, np.float32).reshape(-1, MATERIAL.size)
 
 
 def triangle_spreads(corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Along the triangles' own normals, the extent of their boxes, as surface.cl's `spread`.
+    """The extent of each triangle's box along the triangle's normal: `spread` of surface.cl.
 
     Parameters
     ----------
@@ -162,12 +169,13 @@ def find_points(
     supersample : int
         k makes k × k sub-pixels of a pixel, each a shading point of its own.
     emitters_active : bool
-        Whether points on area lights have an integral (ambient occlusion) or not (direct light, whose
-        emitters are black bodies).
+        Whether points on area lights have an integral: they do for ambient occlusion, and do not for
+        direct light, since lights reflect nothing.
     """
     columns, rows = width * supersample, height * supersample
     cells = columns * rows
-    program = build(device, ("common", "surface", "points"), surface_defines())
+    defines = {**surface_defines(), **CAMERA.defines(), **MATERIAL.defines()}
+    program = build(device, ("common", "surface", "points"), defines)
     camera = HostArray.of(device, camera_record(scene.camera, width, height))
     hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
 
@@ -178,23 +186,23 @@ def find_points(
         cell, light = cell[order], light[order]
     active = len(cell) if emitters_active else int(np.count_nonzero(light < 0))
 
-    surface = HostArray(device, (ROW_COUNT, len(cell)), np.float32)
+    surface = HostArray(device, (SURFACE.size, len(cell)), np.float32)
     program.kernel("shading_points")(
         len(cell),
-        camera,
-        columns,
-        rows,
-        len(cell),
-        HostArray.of(device, cell),
-        HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
-        HostArray.of(device, hits.u[cell]),
-        HostArray.of(device, hits.v[cell]),
-        HostArray.of(device, scene.vertices),
-        HostArray.of(device, scene.vertex_normals),
-        HostArray.of(device, scene.triangles),
-        HostArray.of(device, scene.triangle_material),
-        HostArray.of(device, material_records(scene)),
-        surface,
+        camera=camera,
+        columns=columns,
+        rows=rows,
+        total_points=len(cell),
+        cells=HostArray.of(device, cell),
+        hit_triangle=HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
+        hit_u=HostArray.of(device, hits.u[cell]),
+        hit_v=HostArray.of(device, hits.v[cell]),
+        vertices=HostArray.of(device, scene.vertices),
+        vertex_normals=HostArray.of(device, scene.vertex_normals),
+        triangles=HostArray.of(device, scene.triangles),
+        triangle_material=HostArray.of(device, scene.triangle_material),
+        materials=HostArray.of(device, material_records(scene)),
+        surface=surface,
     )
     device.queue.finish()
     material = scene.triangle_material[hits.triangle[cell]]
@@ -212,7 +220,16 @@ def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) 
     found = []
     for first in range(0, cells, batch):
         count = min(batch, cells - first)
-        camera_rays(count, camera, first, count, columns, rows, origins, directions)
+        camera_rays(
+            count,
+            camera=camera,
+            first_cell=first,
+            count=count,
+            columns=columns,
+            rows=rows,
+            origins=origins,
+            directions=directions,
+        )
         with origins.mapped(count=count) as starts, directions.mapped(count=count) as towards:
             found.append(tracer.closest(starts, towards))
     return Hits(

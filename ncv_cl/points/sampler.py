@@ -19,23 +19,23 @@ SAMPLERS = ("independent", "sobol")
 class Stream(enum.IntEnum):
     """What a sample is for; samples of different streams are independent.
 
-    No two stages of a render share one: what two of them say is weighed as if it were independent.
+    No two stages of a render share one, because their estimates are combined as independent ones.
     """
 
-    # f by plain Monte Carlo, whole images and first passes alike, which the former go on from.
+    # f by plain Monte Carlo.
     PLAIN = 0
     PILOT = 1
     UNSHADOWED = 2
     # A second, independent scramble for points that are estimated twice.
     PLAIN_AGAIN = 3
-    # f - g, and the same points once more.
+    # f - g, and its second scramble.
     RESIDUAL = 4
     RESIDUAL_AGAIN = 5
     TRAINING = 6
     HELD_OUT = 7
-    # Drawn for kernels to be compiled, and thrown away.
+    # Drawn so that kernels get compiled; the values are not used.
     WARM_UP = 8
-    # Of a callable: the constant that is taken off.
+    # The constant that is subtracted from a callable.
     OFFSET = 9
 
 
@@ -50,7 +50,7 @@ class HostStream(enum.IntEnum):
 
 
 def host_generator(seed: int, stream: HostStream) -> np.random.Generator:
-    """Random numbers of the host, the same on every machine."""
+    """A generator for the host; its numbers are the same on every machine."""
     return np.random.Generator(np.random.Philox([seed, int(stream)]))
 
 
@@ -68,8 +68,8 @@ def sampler_defines(sampler: str) -> dict[str, int]:
     return {**defines, "SAMPLER": SAMPLERS.index(sampler)}
 
 
-def seed_words(seed: int) -> tuple[int, int]:
-    """The two 32-bit words of Philox's key.
+def seed_words(seed: int) -> dict[str, int]:
+    """The two 32-bit words of Philox's key, as kernels call them.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def seed_words(seed: int) -> tuple[int, int]:
     is_number = isinstance(seed, numbers.Real) and not isinstance(seed, bool)
     if not is_number or not 0 <= seed < 2**64 or seed != seed // 1:
         raise ValueError(f"seed must be an integer from 0 to 2**64 - 1, got {seed!r}")
-    return int(seed) & 0xFFFFFFFF, int(seed) >> 32
+    return {"seed_low": int(seed) & 0xFFFFFFFF, "seed_high": int(seed) >> 32}
 
 
 def square_samples(
@@ -96,6 +96,15 @@ def square_samples(
     u = HostArray(device, (len(points), stride), np.float32)
     v = HostArray(device, (len(points), stride), np.float32)
     kernel = build(device, ("common", "sampler"), sampler_defines(sampler)).kernel("square_samples")
-    items = len(points) * stride // device.vector_width
-    kernel(items, points.start, len(points), samples.start, stride, stream, *seed_words(seed), u, v)
+    kernel(
+        len(points) * stride // device.vector_width,
+        first_point=points.start,
+        point_count=len(points),
+        first_sample=samples.start,
+        stride=stride,
+        stream=stream,
+        **seed_words(seed),
+        u=u,
+        v=v,
+    )
     return u.read()[:, :count], v.read()[:, :count]

@@ -13,7 +13,7 @@ from embreex.mesh_construction import TriangleMesh
 
 from ..scene.load import Scene
 
-# Rays a task at most and at least; small enough to balance threads, large enough to hide the call.
+# Most and fewest rays a task: few enough to balance threads, many enough to hide the cost of a call.
 CHUNK = 1 << 14
 SMALLEST_CHUNK = 1 << 11
 

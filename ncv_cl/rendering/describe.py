@@ -25,7 +25,7 @@ def describe(
     Parameters
     ----------
     settings : Settings
-        As they were asked for.
+        Settings of the call, not those of the plan.
     total : float
         Seconds of the whole render.
     """

@@ -13,14 +13,14 @@ from ..opencl.device import Device, HostArray
 from ..output.keep import Keep
 from ..output.report import finite
 from ..output.resolve import combine, estimate_of
-from ..points.points import ROW, ROW_COUNT, ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.callable import CallableSource, Function, HostIntegrand
 from ..sampling.problem import Problem
 from ..settings.options import Sampling, Stopping, Training, changed, gathered
 from ..settings.settings import Settings
 from .pipeline import Outcome, estimate_integrals
 
-# Of few integrals each bears a wider network.
+# There are usually few integrals, so a wider network costs little in all.
 WIDE = Training(preset="wide")
 # Features are brought into this cube.
 UNIT_CUBE = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
@@ -33,9 +33,9 @@ class Integrals:
     Attributes
     ----------
     mean, variance : ndarray
-        float64 (points, channels): the estimates, and the variances of these, NaN where they rest on one
-        sample. Under Sobol sampling the latter are calibrated by a share of the points: with less than
-        some hundreds they are coarse.
+        float64 (points, channels): the estimates, and their variances, NaN where a point has one sample.
+        Under Sobol sampling the variances are calibrated by a share of the points: with fewer than some
+        hundred points they are coarse.
     network_integral : ndarray or None
         float64 (points, channels), the exact integral of the control variate.
     stats : dict
@@ -78,9 +78,9 @@ def estimate(
         Values of f.
     method : {"ncv", "mc"}
     spp, seed, device, sampling, training, stopping, **options
-        As `render` takes them; `spp` and `train_spp` are samples a point. A call of f counts as much
-        as a cheap sample of a scene where "auto" weighs what training costs. The preset is by default
-        the one of least residual, "wide".
+        As `render` takes them; `spp` and `train_spp` are samples a point. For `train_spp` "auto" a call
+        of f is assumed to cost as much as a cheap sample of a scene. The preset is "wide" by default,
+        which leaves the least residual.
 
     Returns
     -------
@@ -118,7 +118,7 @@ def estimate(
 def _integrals(
     problem: Problem, settings: Settings, outcome: Outcome, watch: Stopwatch, started: float
 ) -> Integrals:
-    """What the pipeline leaves, with what `CallableSource` has taken off the function added again."""
+    """The result of the pipeline, with the constant that `CallableSource` subtracts added again."""
     drawn, training, integral = outcome.drawn, outcome.before, outcome.integral
     offset = problem.source.offset[:, None]
     estimates = estimate_of(drawn.plain, drawn.residual, integral)
@@ -147,20 +147,20 @@ def _points_of(device: Device, points: int, features: np.ndarray | None) -> Shad
         features = np.asarray(features)
         if features.dtype.kind not in "bfiu":
             raise ValueError(f"features must be real numbers, are {features.dtype}")
-        # Far from zero, features differ by less than float32 can say until they are centred.
+        # Features far from zero are centred first: float32 could not tell them apart.
         features = features.astype(np.float64)
         if features.ndim != 2 or len(features) != points or not 1 <= features.shape[1] <= 3:
             raise ValueError(f"features must be ({points}, 1 to 3), is {features.shape}")
         if not np.isfinite(features).all():
             raise ValueError("features must be finite")
-        # Each axis at its own scale: what differs by much on one may differ by little on another. In
-        # halves, or the difference of two numbers might be beyond float64.
+        # Each axis has its own scale, since its range may differ from the others'. The numbers are
+        # halved first, since the difference of two might overflow float64.
         lower, upper = 0.5 * features.min(axis=0), 0.5 * features.max(axis=0)
         positions[:, : features.shape[1]] = (0.5 * features - lower) / np.where(
             upper > lower, upper - lower, 1
         )
-    surface = np.zeros((ROW_COUNT, points), np.float32)
-    surface[ROW["POSITION"] : ROW["POSITION"] + 3] = positions.T
+    surface = np.zeros((SURFACE.size, points), np.float32)
+    surface[SURFACE["position"]] = positions.T
     nowhere = np.full(points, -1, np.int32)
     return ShadingPoints(
         HostArray.of(device, surface), np.arange(points, dtype=np.uint32), nowhere, points, 0

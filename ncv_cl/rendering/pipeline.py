@@ -1,4 +1,4 @@
-"""The one order of the stages: plan, control variate, samples; for images and functions of the user."""
+"""The order of the stages, for images and functions of the user: plan, control variate, samples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..settings.settings import Settings
 
 @dataclass(frozen=True)
 class Before:
-    """What there is before the samples that count.
+    """The results of training, or of a pilot, before the passes.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Before:
     about : dict
         How the network was trained, if it was.
     guide : Guide, optional
-        What guides paths.
+        Densities that guide bounces.
     """
 
     trained: Trained | None = None
@@ -46,7 +46,7 @@ class Before:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the stages leave, for `resolve`.
+    """The result of the stages, for `resolve`.
 
     Attributes
     ----------
@@ -55,11 +55,11 @@ class Outcome:
     before : Estimate, optional
         Of f, from the samples of training or of a pilot.
     network : Network, optional
-        That was used.
+        The network that was used, if any.
     integral : ndarray, optional
         float32 (channels, points), G of each active point.
     training, idle : dict
-        How the network was trained, and what of it the points do not need.
+        Statistics: how the network was trained, and which parts of it the points do not need.
     """
 
     plan: Plan
@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def by_count(self) -> bool:
-        """Whether the slides' rule weighs training samples: by their number."""
+        """Whether training samples are weighed by their number, as on the slides, not by error."""
         return not self.plan.settings.preset.density
 
 
@@ -84,7 +84,7 @@ def estimate_integrals(
     Parameters
     ----------
     keep : Keep
-        Where to write networks and checkpoints, and what to go on from.
+        Which network and checkpoint files to write, and the checkpoint to resume.
     given : Trained, optional
         A network to use instead of training one.
     """
@@ -99,7 +99,7 @@ def estimate_integrals(
     settings = plan.settings
     variate = None
     if before.trained is not None:
-        # What was begun before is gone on with as it was.
+        # A resumed render must get the same control variate, whatever time is left.
         untimed = run if resumed is None else replace(run, clock=UNLIMITED)
         variate = control_variate(problem, settings, untimed, before.trained, keep.save_network)
     if variate is None:
@@ -117,7 +117,7 @@ def estimate_integrals(
 
 
 def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | None) -> Before:
-    """Train what the method needs."""
+    """Train a network or draw a pilot, as the method needs."""
     if settings.method == "mc":
         if settings.allocation == "pilot" and problem.points.active:
             return Before(estimate=draw_pilot(problem, settings, run))
@@ -133,13 +133,13 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
 
 
 def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Before:
-    """What a checkpoint holds of the same."""
+    """The same from a checkpoint."""
     resumed.check_arrays(settings.integrand.channels, problem.points.active, settings.needs_magnitude)
     if resumed.guide is not None:
         problem.source.use_guide(resumed.guide)
     trained = None
     if resumed.network is not None:
-        trained = Trained(resumed.network, resumed.density, resumed.alpha)
+        trained = Trained(resumed.network, resumed.density_network, resumed.alpha)
     return Before(trained, resumed.before, guide=resumed.guide)
 
 
@@ -151,7 +151,7 @@ def _drawn(
     before: Before,
     variate: ControlVariate | None,
 ) -> Drawn:
-    """Draw the samples that count, from where a checkpoint ended."""
+    """Draw the passes, from where the checkpoint ended if there is one."""
     resumed = keep.resumed
     allocation = allocation_of(problem, settings, variate, before.estimate)
     done = None if resumed is None else resumed.edges

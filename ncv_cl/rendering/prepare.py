@@ -1,4 +1,4 @@
-"""From a scene to what an image's samples are drawn with: traced points, and their source."""
+"""From a scene to its `Problem`: shading points, and the source of their samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.shaft import Occluders, shafts_pay
+from ..visibility.lines import most_on_lines
+from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import Slices
 
 
@@ -23,7 +24,7 @@ def prepare(
     threads: int | None,
     watch: Stopwatch,
 ) -> Problem:
-    """Trace the camera's rays, and make ready to sample the points that they hit.
+    """Trace the camera's rays, and set up the sampling of the points that they hit.
 
     Parameters
     ----------
@@ -46,12 +47,14 @@ def prepare(
         )
         points = _without_dark(scene, settings, points)
     occluders = None
+    lines = settings.sampling.visibility == "lines"
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
     if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
-            occluders = Occluders(device, scene, points, integrand)
+            most = most_on_lines(device) if lines else MOST_OCCLUDERS
+            occluders = Occluders(device, scene, points, integrand, most)
     slices = None
-    if integrand.sliced and settings.sampling.visibility == "lines":
+    if integrand.sliced and lines:
         with watch("slices"):
             slices = Slices(device, scene)
     source = sample_source(
@@ -64,6 +67,7 @@ def prepare(
         settings.seed,
         SAMPLES_A_PASS,
         occluders,
+        lines=lines,
         slices=slices,
         shadows_tested=settings.sampling.visibility != "embree",
     )
@@ -82,7 +86,7 @@ def prepare(
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:
-    """Points that cannot see a light are left out; all others keep their samples either way."""
+    """The points without those that face away from every light; the others keep their samples."""
     dark = settings.integrand.dark(scene, points)
     if dark is None:
         return points

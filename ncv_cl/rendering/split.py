@@ -13,9 +13,9 @@ from ..points.sampler import seed_words
 from ..scene.load import Scene
 from .render import render
 
-# What belongs to one of the two renders, or would have to be divided among them.
+# Options of a single render, which two renders cannot share.
 _ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse")
-# Part of a time limit that direct light has; the rest of the light has what that leaves.
+# Share of a time limit for direct light; the other render gets what is left.
 _DIRECT_SHARE = 0.5
 
 
@@ -30,8 +30,8 @@ def render_split(
     integrand : "gi" or GlobalIllumination
         Its `direct` must be true.
     **options
-        As `render` takes them, each for both images, but for a time limit, which is for both together;
-        not those that are about one render, such as its network and checkpoint, nor a target.
+        As `render` takes them, each for both images, but for a time limit, which is for both together.
+        Networks, checkpoints and targets are options of a single render, and are errors.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def render_split(
     share = None if limit is None else _DIRECT_SHARE * limit
     direct = render(scene, DirectLight(), seed=seed, time_limit=share, **options)
     rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp, guided=whole.guided)
-    # Another seed: the errors of the two are to be independent.
+    # Another seed, since variances add only if the two errors are independent.
     left = None if limit is None else max(limit - (time.perf_counter() - started), 1e-6)
     indirect = render(scene, rest, seed=(seed + 2**63) % 2**64, time_limit=left, **options)
     image = _sum(direct, indirect)
@@ -71,7 +71,7 @@ def render_split(
 
 
 def _sum(direct: Image, indirect: Image) -> Image:
-    """Of two images of one camera."""
+    """The sum of two images of one camera."""
     layers = dict(indirect.layers)
     for name in ("G", "residual"):
         parts = [one.layers[name] for one in (direct, indirect) if name in one.layers]

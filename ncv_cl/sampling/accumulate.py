@@ -8,16 +8,19 @@ import numpy as np
 
 from ..network.network import FoldedNetwork
 from ..opencl.device import GROUP_SIZE, Device, HostArray
+from ..opencl.layout import Record
 from ..opencl.program import build
 from ..points.points import ShadingPoints
 from .samples import Batch, ray_defines
 
-STATE_FLOATS = 3
+# Of every point and channel: the mean so far, what rounding took from it, and the sum of squared
+# deviations.
+STATE = Record("STATE", {"mean": 1, "low": 1, "deviations": 1})
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Sample means over one quantity.
+    """Means and variances of one quantity, f or f - g, at every point.
 
     Attributes
     ----------
@@ -48,14 +51,14 @@ class Estimate:
 
     @property
     def known(self) -> np.ndarray:
-        """Where there are samples enough for a variance, bool (points,)."""
+        """Where a point has the two samples that a variance needs, bool (points,)."""
         return self.samples > 1
 
     def merged(self, other: Estimate) -> Estimate:
-        """Of all samples of both, where these are independent of each other."""
+        """The estimate from all samples of both, which must be independent of each other."""
         samples = self.samples + other.samples
         share = other.samples / np.maximum(samples, 1)
-        # Each variance is unbiased, and so is any mean of them whose weights the samples do not decide.
+        # Each variance is unbiased, and so is their mean with weights that do not depend on the values.
         both = (1 - share) * self.variance + share * other.variance
         one = np.where(self.known, self.variance, other.variance)
         return Estimate(
@@ -96,7 +99,7 @@ class Accumulator:
         defines = {
             "CHANNELS": channels,
             "WITH_NETWORK": int(network is not None),
-            "STATE_FLOATS": STATE_FLOATS,
+            **STATE.defines(),
             "GROUP_POINTS": self._group_points,
             **ray_defines(),
         }
@@ -106,33 +109,35 @@ class Accumulator:
             defines |= network.network.description.defines()
         self._device, self._files, self._defines = device, files, defines
         self.quantities = 1 + (network is not None)
-        rows = self.quantities * channels * STATE_FLOATS
+        rows = self.quantities * channels * STATE.size
         self._state = HostArray(device, (rows, points.active), np.float32)
         self._state.fill(0.0)
 
     def add(self, batch: Batch, previous: int | None = None) -> None:
         """Add a batch, whose points must all have been given `previous` samples before.
 
-        By default what all points have been given in the passes finished so far.
+        By default the number that the passes finished so far have given every point.
         """
         previous = self._samples_of_all if previous is None else previous
         weighted = batch.weight is not None
         program = build(self._device, self._files, {**self._defines, "WEIGHTED": int(weighted)})
-        inputs = [batch.order, batch.value, batch.slot, batch.visible]
-        if weighted:
-            inputs.append(batch.weight)
+        inputs = {"weight": batch.weight} if weighted else {}
         if self.network is not None:
-            inputs += [batch.u, batch.v, *self.network.arrays]
+            inputs |= {"u": batch.u, "v": batch.v, **self.network.arrays}
         program.kernel("accumulate")(
             len(batch.points) * self._lanes,
-            batch.points.start,
-            len(batch.points),
-            self.points.active,
-            batch.samples,
-            batch.stride,
-            float(previous),
-            *inputs,
-            self._state,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            total_points=self.points.active,
+            sample_count=batch.samples,
+            stride=batch.stride,
+            previous_count=float(previous),
+            order=batch.order,
+            value=batch.value,
+            slot=batch.slot,
+            visible=batch.visible,
+            **inputs,
+            state=self._state,
             group=self._group_points * self._lanes,
         )
 
@@ -167,16 +172,17 @@ class Accumulator:
     def means(self) -> np.ndarray:
         """Means so far, float64 (quantities, channels, points)."""
         state = self._state.read().astype(np.float64)
-        state = state.reshape(self.quantities, self.channels, STATE_FLOATS, -1)
-        return state[:, :, 0] + state[:, :, 1]
+        state = state.reshape(self.quantities, self.channels, STATE.size, -1)
+        return (state[:, :, STATE["mean"]] + state[:, :, STATE["low"]])[:, :, 0]
 
     def result(self, quantity: int = 0) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1)."""
-        rows = self.channels * STATE_FLOATS
+        rows = self.channels * STATE.size
         with self._state.mapped() as view:
             state = view[quantity * rows : (quantity + 1) * rows]
-            state = state.reshape(self.channels, STATE_FLOATS, -1)
-            mean = state[:, 0].astype(np.float64) + state[:, 1]
-            spread = state[:, 2] / np.maximum(self.samples - 1, 1)
+            state = state.reshape(self.channels, STATE.size, -1)
+            high, low, deviations = (state[:, STATE[n]][:, 0] for n in ("mean", "low", "deviations"))
+            mean = high.astype(np.float64) + low
+            spread = deviations / np.maximum(self.samples - 1, 1)
         variance = np.where(self.samples > 1, spread, np.nan)
         return Estimate(mean, variance, self.samples.copy())

@@ -15,9 +15,9 @@ from ..scene.load import Scene
 from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
 from .warp import Warp
 
-# How many values a callable's constant is the median of: an odd number at each of some points.
+# A callable's constant is the median of so many values at each of so many points.
 OFFSET_POINTS, OFFSET_SAMPLES = 256, 17
-# Squares of larger values, and sums of these, are beyond float32.
+# Sums of squares of larger values would overflow float32.
 LARGEST_VALUE = 1e15
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -49,10 +49,10 @@ class CallableSource(Batches):
     Attributes
     ----------
     offset : ndarray
-        float64 (channels,), the constant: 0, and after `centre` the median of a few values at some
-        points. What is integrated is then near zero whatever f is, and float32 holds its differences.
-        Any constant leaves the estimate as it is once it is added again; this one rests on samples that
-        nothing else uses.
+        float64 (channels,), a constant that is subtracted from f and added to the result again: 0, and
+        after `centre` the median of a few values at some points. With it float32 holds the differences
+        of f even if f is large. It comes from samples that nothing else uses, so estimates stay
+        unbiased.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class CallableSource(Batches):
         self.offset = np.zeros(channels)
 
     def centre(self) -> None:
-        """Take off the medians of f's channels, over `OFFSET_SAMPLES` at each of some of the points."""
+        """Set `offset` to the medians of f's channels over some values at some points."""
         points = self.points.active
         chosen = np.linspace(0, points, min(points, OFFSET_POINTS), endpoint=False)
         order = HostArray.of(self.device, chosen.astype(np.uint32))
@@ -94,7 +94,7 @@ class CallableSource(Batches):
         density: Warp | None = None,
     ) -> Batch:
         order = self._every_point if order is None else order
-        values, warp = self._values(points, samples, stream, order, density)
+        values, weight = self._values(points, samples, stream, order, density)
         stride = self._stride_of(len(samples))
         count, shape = len(points) * stride, (len(points), stride)
         with self._value.mapped(write=True) as view:
@@ -102,7 +102,7 @@ class CallableSource(Batches):
             planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
             planes[..., len(samples) :] = 0
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, len(samples), stride, *arrays, *warp)
+        return Batch(points, order, len(samples), stride, *arrays, weight)
 
     def _values(
         self,
@@ -111,34 +111,34 @@ class CallableSource(Batches):
         stream: int,
         order: HostArray,
         density: Warp | None = None,
-    ) -> tuple[np.ndarray, list[HostArray]]:
+    ) -> tuple[np.ndarray, HostArray | None]:
         """f less the constant, float64 (points, samples, channels), and with a density the weights."""
         stride = self._stride_of(len(samples))
-        warp, files, defines = [], (), {}
+        warp, files, defines = {}, (), {}
         if density is not None:
-            warp = [density.records(order, points), self._weight]
+            warp = {"density": density.records(order, points), "weight": self._weight}
             files, defines = density.files, density.defines
         defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
         program = build(self.device, ("common", "sampler", *files, "callable"), defines)
         program.kernel("draw_coordinates")(
             len(points) * stride // self.device.vector_width,
-            points.start,
-            len(points),
-            samples.start,
-            stride,
-            stream,
-            *self._seed,
-            order,
-            *warp,
-            self._u,
-            self._v,
+            first_point=points.start,
+            point_count=len(points),
+            first_sample=samples.start,
+            stride=stride,
+            stream=stream,
+            **self._seed,
+            order=order,
+            **warp,
+            u=self._u,
+            v=self._v,
         )
         count, shape = len(points) * stride, (len(points), stride)
         u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
         chosen = order.read()[points.start : points.stop]
         index = np.broadcast_to(chosen[:, None], u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
-        return values.reshape(*u.shape, self.channels), warp[1:]
+        return values.reshape(*u.shape, self.channels), warp.get("weight")
 
     def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
         """f less the constant, float64 (samples, channels), checked."""

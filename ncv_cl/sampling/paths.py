@@ -1,4 +1,4 @@
-"""Samples whose values are estimates themselves: paths behind the first bounce, in wavefronts."""
+"""Samples with a path behind the first bounce, in wavefronts: each value is itself an estimate."""
 
 from __future__ import annotations
 
@@ -10,31 +10,24 @@ import numpy as np
 from ..integrands import GlobalIllumination, Integrand
 from ..opencl.device import Device, HostArray
 from ..opencl.program import build
-from ..points.points import RELATIVE_OFFSET, ShadingPoints, surface_defines, triangle_spreads
+from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
-from ..points.trace import Hits, Tracer
+from ..points.trace import Tracer
 from ..scene.load import Scene
-from ..visibility.shadow import CENTRE_FLOATS, MOST_CASTERS, shadow_casters, shadow_defines
+from ..visibility import tuning as visibility_tuning
+from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
 from ..visibility.slices import Slices
+from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
+from .triangles import triangle_records
 from .warp import Warp, warp_defines
+from .wave import Wave, wave_defines
 
 # A depth that no path reaches.
-UNLIMITED = 1 << 30
-# Words before the planes of a wave, and between the two counts there: a cache line each.
-HEADER, COUNT_STEP = 32, 16
-# Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
-PLANES, HOST_PLANES = 27, 17
+EVERY_DEPTH = 1 << 30
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
 RADIANCE_FLOATS = 4
-# Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; then
-# the same where the mean of what is ended is known. Of those tried, the least variance times rays
-# (96 x 96 points, one pair of seeds, Cornell box and interior).
-ROULETTE = (2, 2.0)
-GUIDED_ROULETTE = (2, 3.0)
-# The most that go on.
-MOST_SURVIVE = 0.95
 
 
 def sample_source(
@@ -44,6 +37,7 @@ def sample_source(
     points: ShadingPoints,
     integrand: Integrand,
     *rest: Any,
+    lines: bool = False,
     slices: Slices | None = None,
     shadows_tested: bool = False,
 ) -> SampleSource:
@@ -51,68 +45,7 @@ def sample_source(
     if integrand.nested:
         arguments = (device, scene, tracer, points, integrand, *rest)
         return PathSource(*arguments, shadows_tested=shadows_tested)
-    return SampleSource(device, scene, tracer, points, integrand, *rest, slices=slices)
-
-
-class _Wave:
-    """Memory for the rays of one bounce, and what they find, as wave.cl lays it out.
-
-    Parameters
-    ----------
-    device
-    capacity : int
-        Most rays of each kind.
-    shadows_tested : bool
-        Whether shadow rays are but counted, as kernels answer them.
-
-    Attributes
-    ----------
-    words : HostArray
-        float32; some planes hold integers.
-    plane : int
-        Elements of a plane.
-    rays, shadows, tested : int
-        How many go on, how many end at a light, and how many of those kernels have answered.
-    """
-
-    def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
-        self._width = device.vector_width
-        self._shadows_tested = shadows_tested
-        self.words = HostArray(device, HEADER + PLANES * self._plane_of(capacity), np.float32)
-        self.words.fill(0)
-        self.plane = self.rays = self.shadows = self.tested = 0
-
-    def make_room(self, count: int) -> None:
-        """For at most `count` rays of each kind."""
-        self.plane = self._plane_of(count)
-
-    def _plane_of(self, count: int) -> int:
-        # Whole vectors; and one line more than what may be a power of two, or all planes would share a
-        # few sets of the cache.
-        return -(-count // self._width) * self._width + COUNT_STEP
-
-    def trace(self, tracer: Tracer) -> float:
-        """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
-        with self.words.mapped(count=HEADER + HOST_PLANES * self.plane, update=True) as words:
-            started = time.perf_counter()
-            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
-            self.rays, self.shadows = counts.tolist()
-            counts[:] = 0
-            if self._shadows_tested:
-                self.tested, self.shadows = self.shadows, 0
-            planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
-            rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
-            tracer.closest_and_visible(
-                rays[:3].T, rays[3:6].T, Hits(rays[12].view(np.int32), *rays[13:16]),
-                shadows[6:9].T, shadows[9:12].T, planes[16].view(np.uint8)[: self.shadows],
-            )  # fmt: skip
-            return time.perf_counter() - started
-
-    def under_way(self) -> tuple[np.ndarray, np.ndarray]:
-        """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
-        with self.words.mapped() as words:
-            planes = words[HEADER : HEADER + PLANES * self.plane].reshape(PLANES, self.plane)
-            return planes[21, : self.rays].copy().view(np.uint32), planes[17:20, : self.rays].copy()
+    return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines, slices=slices)
 
 
 class PathSource(SampleSource):
@@ -136,15 +69,19 @@ class PathSource(SampleSource):
         shadows_tested: bool = False,
     ) -> None:
         super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
-        self._max_depth = integrand.max_depth or UNLIMITED
+        self._max_depth = integrand.max_depth or EVERY_DEPTH
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = shadows_tested and len(scene.triangles) <= MOST_CASTERS
+        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
-        self._guide: list[HostArray] = []
+        # What no kernel reads before there is a guide.
+        self._guided = False
+        self._guide_densities, self._guide_means = (
+            HostArray(device, 1, t) for t in (np.uint32, np.float32)
+        )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
         self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
@@ -153,10 +90,9 @@ class PathSource(SampleSource):
             **sampler_defines(sampler),
             **integrand.defines(scene),
             **defines,
-            "HEADER": f"{HEADER}u",
-            "COUNT_STEP": f"{COUNT_STEP}u",
+            **wave_defines(),
             "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
-            "MOST_SURVIVE": f"{MOST_SURVIVE!r}f",
+            "MOST_SURVIVE": f"{tuning.MOST_SURVIVE!r}f",
             **shadow_defines(len(scene.triangles) if few else 0),
             **ray_defines(),
             **warp_defines(),
@@ -164,7 +100,7 @@ class PathSource(SampleSource):
         }
         self._choose_program()
         capacity = self._capacity
-        self._wave, self._next = (_Wave(device, capacity, few) for _ in range(2))
+        self._wave, self._next = (Wave(device, capacity, few) for _ in range(2))
         self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
         self._place = _zeros(device, capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
@@ -185,13 +121,14 @@ class PathSource(SampleSource):
 
     def use_guide(self, guide: Guide) -> None:
         """Guide bounces behind the first."""
-        self._guide = [HostArray.of(self.device, array) for array in guide]
+        self._guided = True
+        self._guide_densities, self._guide_means = (HostArray.of(self.device, a) for a in guide)
         self._choose_program()
 
     def _choose_program(self) -> None:
         recorded = self._recorder is not None
-        guided = bool(self._guide) and not recorded
-        bounce, scale = GUIDED_ROULETTE if guided else ROULETTE
+        guided = self._guided and not recorded
+        bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         flags = {
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
@@ -231,12 +168,12 @@ class PathSource(SampleSource):
         count = len(batch.points) * batch.stride
         self._paths.kernel("finish_paths")(
             -(-count // self.device.vector_width),
-            count,
-            self._most,
-            batch.slot,
-            batch.visible,
-            self._radiance,
-            batch.value,
+            count=count,
+            most=self._most,
+            slot=batch.slot,
+            visible=batch.visible,
+            radiance=self._radiance,
+            value=batch.value,
         )
         self.device.queue.finish()
         traced = self.rays.trace_seconds - traced
@@ -252,20 +189,20 @@ class PathSource(SampleSource):
         wave.make_room(len(batch.points) * batch.stride)
         self._paths.kernel("begin_paths")(
             len(batch.points) * batch.stride // self.device.vector_width,
-            batch.points.start,
-            len(batch.points),
-            self.points.total,
-            batch.samples,
-            batch.stride,
-            self._max_depth,
-            batch.order,
-            self.points.surface,
-            self._data,
-            batch.u,
-            batch.v,
-            self._radiance,
-            wave.plane,
-            wave.words,
+            first_point=batch.points.start,
+            point_count=len(batch.points),
+            total_points=self.points.total,
+            sample_count=batch.samples,
+            stride=batch.stride,
+            max_depth=self._max_depth,
+            order=batch.order,
+            surface=self.points.surface,
+            lights=self._data,
+            u=batch.u,
+            v=batch.v,
+            radiance=self._radiance,
+            plane=wave.plane,
+            wave=wave.words,
         )
 
     def _under_way(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -295,7 +232,11 @@ class PathSource(SampleSource):
         wave = self._wave
         if wave.shadows:
             self._paths.kernel("add_lit")(
-                wave.shadows, wave.shadows, wave.plane, wave.words, self._radiance
+                wave.shadows,
+                count=wave.shadows,
+                plane=wave.plane,
+                wave=wave.words,
+                radiance=self._radiance,
             )
 
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
@@ -304,27 +245,28 @@ class PathSource(SampleSource):
         following.make_room(wave.rays)
         self._paths.kernel("shade_hits")(
             -(-wave.rays // self.device.vector_width),
-            wave.rays,
-            self._max_depth,
-            bounce,
-            batch.points.start,
-            first_sample,
-            batch.stride,
-            1.0 / batch.stride,
-            stream,
-            *self._seed,
-            batch.order,
-            self._triangles,
-            self._data,
-            self._casters,
-            self._frame,
-            *(self._guide or (self._frame, self._frame)),
-            self._place,
-            wave.plane,
-            wave.words,
-            self._radiance,
-            following.plane,
-            following.words,
+            count=wave.rays,
+            max_depth=self._max_depth,
+            bounce=bounce,
+            first_point=batch.points.start,
+            first_sample=first_sample,
+            stride=batch.stride,
+            inverse_stride=1.0 / batch.stride,
+            stream=stream,
+            **self._seed,
+            order=batch.order,
+            triangles=self._triangles,
+            lights=self._data,
+            casters=self._casters,
+            guide_frame=self._frame,
+            guide=self._guide_densities,
+            guide_mean=self._guide_means,
+            guide_place=self._place,
+            plane=wave.plane,
+            wave=wave.words,
+            radiance=self._radiance,
+            next_plane=following.plane,
+            next_wave=following.words,
         )
         self._wave, self._next = following, wave
 
@@ -333,39 +275,3 @@ def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArr
     array = HostArray(device, shape, dtype)
     array.fill(0)
     return array
-
-
-def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
-    """What paths.cl reads of the triangles, float32 (triangles, floats), and its `-D` constants."""
-    corners = scene.vertices[scene.triangles].astype(np.float64)
-    edges = corners[:, 1:] - corners[:, :1]
-    # Scaled before the cross product, whose squared length is very small for small triangles.
-    scaled = edges / np.abs(edges).max(axis=2, keepdims=True)
-    normals = np.cross(scaled[:, 0], scaled[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
-    smooth = scene.vertex_normals[scene.triangles].any(axis=(1, 2))
-    offsets[smooth] *= -1.0
-    materials = [scene.materials[index] for index in range(len(scene.materials))]
-    rows = {name: np.array([getattr(m, name) for m in materials], np.float64).reshape(len(materials), -1)
-            for name in ("albedo", "reflectance", "roughness", "emission")}  # fmt: skip
-    own = scene.triangle_material
-    defines = {
-        "HAS_EMISSION": int(rows["emission"].any()),
-        "HAS_NORMALS": int(scene.vertex_normals.any()),
-    }
-    parts = [
-        normals,
-        np.sum(normals * corners[:, 0], axis=1, keepdims=True),
-        offsets[:, None],
-        scene.triangle_light[:, None],
-        rows["albedo"][own],
-    ]
-    if rows["reflectance"].any():
-        parts += [rows["reflectance"][own], rows["roughness"][own]]
-    if defines["HAS_EMISSION"]:
-        parts.append(rows["emission"][own])
-    if defines["HAS_NORMALS"]:
-        parts.append(scene.vertex_normals[scene.triangles].reshape(len(corners), 9))
-    records = np.concatenate(parts, axis=1).astype(np.float32)
-    return records, {**defines, "TRIANGLE_FLOATS": records.shape[1]}

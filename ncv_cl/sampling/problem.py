@@ -1,4 +1,4 @@
-"""What is to be integrated: one integral a shading point, and where its samples come from."""
+"""The integrals of a render: one a shading point, and the source of their samples."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class Problem:
     source : Batches
         Draws samples of their integrands.
     bounds : ndarray
-        float (2, 3), what the points lie in, world space.
+        float (2, 3), bounds of the scene in world space.
     candidates : tuple of str
-        What of φ the integrand depends on.
+        Inputs that the integrand depends on, some of `INPUTS`.
     demodulated : bool
-        Whether integrands are to be divided by their means without shadows.
+        Whether the network learns f over its mean without shadows.
     is_image : bool
         Whether points lie side by side in an image.
     narrowest : float
-        Part of the square that the light with the least of it has to itself.
+        Width of the narrowest light's strip of the square; 1 without lights.
     """
 
     device: Device
@@ -47,12 +47,12 @@ class Problem:
 
     @functools.cached_property
     def inputs(self) -> tuple[str, ...]:
-        """What of φ varies over the points."""
+        """Those of `candidates` that vary over the points."""
         return varying_inputs(self.points, self.candidates)
 
     @functools.cached_property
     def cube(self) -> GridCube:
-        """What a network's hash grid divides."""
+        """The cube that a network's hash grid divides."""
         if self.is_image:
             return GridCube.of_points(self.points, self.bounds)
         return GridCube.around(self.bounds)
@@ -63,5 +63,5 @@ class Problem:
         return self.source.unshadowed_means()
 
     def factor(self, demodulated: bool) -> HostArray | None:
-        """What a network's output is multiplied by, if it is demodulated."""
+        """The factor of a demodulated network's output: `means`; None for others."""
         return self.means if demodulated else None

@@ -14,11 +14,13 @@ from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
-from ..visibility.shaft import BLOCKS_A_ITEM, Occluders
+from ..visibility import tuning as visibility_tuning
+from ..visibility.lines import line_defines
+from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from .warp import Warp
 
-# Slots of samples without a ray: of those that bring nothing, and of those known to see the light.
+# Slots of samples without a ray: their value is zero, or they are known to see the light.
 NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
@@ -38,15 +40,15 @@ def ray_defines() -> dict[str, str]:
 
 @dataclass
 class RayCount:
-    """How many rays were traced, how many were not worth tracing, and seconds.
+    """How many rays were traced, how many samples needed none, and seconds.
 
     Attributes
     ----------
     traced, skipped : int
     on_device : int
-        Answered by testing a point's few occluders, or whole slices.
+        Answered by testing a point's few occluders, or by whole slices.
     off_lines : int
-        Samples whose slices have too many intervals, and which take rays.
+        Samples that no line or slice was found for, or one with too much in its way to be kept.
     trace_seconds, sample_seconds : float
         Spent in embree, and in all else that drawing samples takes.
     """
@@ -156,6 +158,8 @@ class SampleSource(Batches):
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
         What decides visibility where it is known; by default embree decides all.
+    lines : bool
+        Whether samples at points whose occluders are known lie where lines see the lights.
     slices : Slices, optional
         Samples are whole slices of the hemisphere; the integrand must be `sliced`.
     """
@@ -171,6 +175,7 @@ class SampleSource(Batches):
         seed: int,
         samples_per_point: int,
         occluders: Occluders | None = None,
+        lines: bool = False,
         slices: Slices | None = None,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
@@ -183,26 +188,39 @@ class SampleSource(Batches):
             **integrand.defines(scene),
             **ray_defines(),
             "SHAFTS": int(occluders is not None),
+            "LINES": int(lines and occluders is not None),
             "SLICES": int(slices is not None),
             "MEAN_SAMPLES": f"{MEAN_SAMPLES}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{visibility_tuning.BLOCKS_A_ITEM}u",
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
         self.occluders = occluders
-        self._occluders: list[object] = []
+        self._occluders: dict[str, object] = {}
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
-            self._occluders = [occluders.stride, occluders.lists, occluders.corners]
+            if lines:
+                shaft, defines = ("shaft", "gaps", "lines"), {**defines, **line_defines()}
+            self._occluders = {
+                "corner_stride": occluders.stride,
+                "starts": occluders.starts,
+                "occluders": occluders.lists,
+                "corners": occluders.corners,
+            }
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
-            self._occluders = list(slices.arguments)
+            self._occluders = slices.arguments
+        self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
         point_kernel = integrand.point_kernel(scene)
         if point_kernel is not None:
             self._program.kernel(point_kernel)(
-                points.active, points.active, points.total, points.surface, self._data
+                points.active,
+                point_count=points.active,
+                total_points=points.total,
+                surface=points.surface,
+                integrand_data=self._data,
             )
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
@@ -218,13 +236,13 @@ class SampleSource(Batches):
         means = HostArray(self.device, (self.channels, active), np.float32)
         self._program.kernel("unshadowed_means")(
             active,
-            active,
-            self.points.total,
-            Stream.UNSHADOWED,
-            *self._seed,
-            self.points.surface,
-            self._data,
-            means,
+            point_count=active,
+            total_points=self.points.total,
+            stream=Stream.UNSHADOWED,
+            **self._seed,
+            surface=self.points.surface,
+            integrand_data=self._data,
+            means=means,
         )
         return means
 
@@ -246,34 +264,34 @@ class SampleSource(Batches):
         count = len(samples)
         stride = self._stride_of(count)
         self._ray_count.fill(0)
-        program, warp = self._program, []
+        program, warp = self._program, {}
         if density is not None:
             files = (*self._warped_files, *density.files, "samples")
             program = build(self.device, files, self._warped_defines | density.defines)
-            warp = [density.records(order, points), self._weight]
+            warp = {"density": density.records(order, points), "weight": self._weight}
         program.kernel("draw_samples")(
-            len(points) * -(-stride // (self.device.vector_width * BLOCKS_A_ITEM)),
-            points.start,
-            len(points),
-            self.points.total,
-            samples.start,
-            count,
-            stride,
-            stream,
-            *self._seed,
-            order,
-            self.points.surface,
-            self._data,
-            *warp,
-            *self._occluders,
-            self._u,
-            self._v,
-            self._value,
-            self._slot,
-            self._origins,
-            self._directions,
-            self._distances,
-            self._ray_count,
+            len(points) * -(-stride // self._item_samples),
+            first_point=points.start,
+            point_count=len(points),
+            total_points=self.points.total,
+            first_sample=samples.start,
+            sample_count=count,
+            stride=stride,
+            stream=stream,
+            **self._seed,
+            order=order,
+            surface=self.points.surface,
+            integrand_data=self._data,
+            **warp,
+            **self._occluders,
+            u=self._u,
+            v=self._v,
+            value=self._value,
+            slot=self._slot,
+            origins=self._origins,
+            directions=self._directions,
+            distances=self._distances,
+            ray_count=self._ray_count,
         )
         rays, on_device, off_lines = self._ray_count.read().tolist()
         started = time.perf_counter()
@@ -292,4 +310,4 @@ class SampleSource(Batches):
         self.rays.off_lines += off_lines
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, count, stride, *arrays, *warp[1:])
+        return Batch(points, order, count, stride, *arrays, warp.get("weight"))

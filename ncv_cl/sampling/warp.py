@@ -8,18 +8,22 @@ from typing import ClassVar
 import numpy as np
 
 from ..opencl.device import HostArray
+from ..opencl.layout import Record
 
-# Cells an axis of a density.
+# Cells an axis of a density: the edges between eight are seven bytes, of two words.
 DENSITY_BINS = 8
-# Words of a record: two for the strips, and two for each strip's cells.
-DENSITY_WORDS = 2 * (DENSITY_BINS + 1)
+# A row of bins, of the strips or of one strip's cells, is two words.
+ROW_WORDS = 2
+DENSITY = Record("DENSITY", {"strips": ROW_WORDS, "cells": ROW_WORDS * DENSITY_BINS}, np.uint32)
+DENSITY_WORDS = DENSITY.size
 # What the probabilities of a row's bins are multiples of.
 EDGE_UNITS = 256
 
 
 def warp_defines() -> dict[str, int | str]:
     """The `-D` constants of warp.cl."""
-    return {"DENSITY_BINS": DENSITY_BINS, "EDGE_UNITS": EDGE_UNITS}
+    own = {"DENSITY_BINS": DENSITY_BINS, "EDGE_UNITS": EDGE_UNITS, "DENSITY_ROW": ROW_WORDS}
+    return {**own, **DENSITY.defines()}
 
 
 class Warp:
@@ -76,9 +80,9 @@ def pack_records(probability: np.ndarray) -> np.ndarray:
     sums = np.cumsum(rows, axis=2)
     edges = np.rint(sums / sums[..., -1:] * EDGE_UNITS).astype(np.int64)
     before = np.zeros(edges.shape[:2], np.int64)
-    words = np.zeros((*edges.shape[:2], 2), np.uint32)
+    words = np.zeros((*edges.shape[:2], ROW_WORDS), np.uint32)
     for number in range(DENSITY_BINS - 1):
         last = EDGE_UNITS - DENSITY_BINS + 1 + number
         before = np.minimum(np.maximum(edges[..., number], before + 1), last)
         words[..., number // 4] |= before.astype(np.uint32) << np.uint32(8 * (number % 4))
-    return words.reshape(-1, DENSITY_WORDS)
+    return DENSITY.pack(strips=words[:, 0], cells=words[:, 1:].reshape(len(words), -1))

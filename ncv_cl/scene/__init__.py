@@ -1,1 +1,1 @@
-"""Scenes: TOML and mesh files to triangles, materials, lights and a camera."""
+"""TOML and mesh files, or arrays, to triangles, materials, lights and a camera."""

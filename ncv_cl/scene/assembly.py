@@ -16,7 +16,7 @@ from .table import Table
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A mesh of one material that a key of a table describes, maybe with others.
+    """A mesh of one material. One key of a table may describe several.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Assembly:
     Parameters
     ----------
     source : Path or str
-        Where it comes from, for messages.
+        File or function that describes it, for messages.
     camera : Camera
     materials : list of Material
         Those that meshes may name; others may follow.
@@ -87,7 +87,7 @@ class Assembly:
         self._lights.append(light)
 
     def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
-        """The mesh without triangles of no area, which are counted for what `table` describes."""
+        """The mesh without triangles of no area; these are counted under `table`."""
         n_triangles = len(mesh.triangles)
         try:
             mesh, dropped = geometry.drop_degenerate(mesh)

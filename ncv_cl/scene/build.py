@@ -13,7 +13,7 @@ from .geometry import Mesh, normalised
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .table import SceneError, Table
 
-# Begins every message, where that of a scene file begins with its path.
+# Begins every message, as a scene file's path begins its messages.
 _SOURCE = "build_scene"
 # What to do about vertices that are coarse.
 _COARSE = "give them in double precision"

@@ -15,8 +15,8 @@ from trimesh.transformations import euler_matrix, rotation_matrix
 
 Vectors = NDArray[np.float64]
 
-# A published polygon need not be planar to the last digit (the Cornell box's red wall is 3 mm out
-# of plane over 560 mm); more than this fraction of its diameter is taken for a mistake.
+# A published polygon need not be planar to the last digit (the Cornell box's red wall is 3 mm out of
+# plane over 560 mm); more than this fraction of its diameter is an error.
 PLANARITY = 0.01
 # Coordinates above this have squares and cross products that overflow single precision.
 LARGEST_COORDINATE = 1e15

@@ -130,7 +130,7 @@ class Scene:
     """All that is rendered: one merged triangle mesh, surfaces, lights, camera.
 
     The arrays are read-only. Every light is also part of the mesh, as its last triangles. Positions are
-    relative to `origin`, which `scene_place` chooses, those of lights and camera too.
+    relative to `origin`, which scene/place.py chooses, those of lights and camera too.
 
     Attributes
     ----------

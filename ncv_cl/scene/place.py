@@ -1,11 +1,10 @@
 """Where single precision is finest: the scene is moved towards its viewer, and huge triangles are cut.
 
 Everything from the mesh on is in single precision, whose steps grow with a coordinate's size: half a
-metre at map coordinates of some thousand kilometres, a millimetre at the corners of a ground of
-twenty. What counts is what the camera sees, and how near that is. So in double precision, before
-anything is rounded, the scene is moved to have its origin where the viewer is, and triangles that are
-huge as seen from there are cut, for a ray tracer's errors grow with a triangle's size and not with the
-distance of what is hit.
+metre at map coordinates of some thousand kilometres, a millimetre at the corners of a ground of twenty.
+What the camera sees, and from how near, decides what error can be tolerated. So in double precision,
+before anything is rounded, the scene is moved until its origin is near the camera. Triangles that are
+huge as seen from there are cut, because a ray tracer's error grows with the triangle's size.
 
 Functions here know nothing of scene files.
 """
@@ -23,14 +22,14 @@ from .model import Camera
 
 Vectors = NDArray[np.float64]
 
-# Coordinates may be so many times as large as the distance to the nearest surface, or the scene's size,
-# before it is moved; edges at most so many times as long as their triangle's distance before it is cut.
+# The scene is moved if coordinates exceed this multiple of the distance to the nearest surface or of the
+# scene's size; a triangle is cut if an edge exceeds this multiple of its distance from the camera.
 LARGEST_RATIO = 64.0
-# However narrow the view, edges that are no longer than that distance are not cut.
+# However narrow the view, an edge that is no longer than this multiple of that distance is not cut.
 SMALLEST_RATIO = 1.0
-# An edge is cut where what it lets rays lose is more than so much of a pixel.
+# An edge is cut where the ray tracer's error for it exceeds this part of a pixel.
 LOST_BY_EDGE = 0.25
-# A viewer on a surface is taken to be so far off it, of the longest edge or of the scene's size.
+# A camera on a surface counts as this far off it, as a part of the longest edge or of the scene's size.
 SMALLEST_DISTANCE = 2.0**-32
 # Steps of single precision that are lost, of a vertex's coordinates to the ray that leaves a surface
 # there, and of its distance to the ray that comes from the camera; and a picture's rows: where the
@@ -39,7 +38,7 @@ STEPS_LOST, STEPS_LOST_BY_DISTANCE = 32, 2
 PIXELS = 1024
 # What part of the vertices in view has to be unresolved for a warning.
 UNRESOLVED_PART = 0.01
-# A file's steps of single precision are coarse where they are those of so many times the object's size.
+# A mesh file is coarse where its coordinates are this many times its object's size.
 COARSE_RATIO = 1e4
 
 
@@ -47,9 +46,9 @@ def scene_origin(corners: Vectors, camera: Camera) -> Vectors:
     """The point that becomes the scene's origin, float64 (3,).
 
     It is the point of the surfaces' bounds that is nearest to the camera: the camera itself, for one
-    that is inside. About it nothing in view has coordinates of more than twice its distance from the
-    camera, nor than the scene's size. It is rounded to multiples of about a quarter of what is
-    tolerated, so that a camera that moves a little has the same origin, and is 0 for scenes that need
+    that is inside. Relative to it, coordinates of what is in view are at most twice the distance from
+    the camera, and at most the scene's size. It is rounded to multiples of about a quarter of the
+    tolerance, so that a camera that moves a little keeps the same origin. It is 0 for scenes that need
     not be moved.
 
     Parameters
@@ -61,7 +60,7 @@ def scene_origin(corners: Vectors, camera: Camera) -> Vectors:
     nearest = np.clip(camera.position, lower, upper)
     size = float((upper - lower).max())
     distance = min(max(_nearest_distance(corners, camera.position), SMALLEST_DISTANCE * size), size)
-    # Without size there is nothing to see, and an error comes of it later.
+    # A scene without size shows nothing; an error says so later.
     if size == 0 or np.abs(nearest).max() <= LARGEST_RATIO * distance:
         return np.zeros(3)
     step = 2.0 ** np.floor(np.log2(LARGEST_RATIO * distance / 4))
@@ -84,7 +83,7 @@ def cut_huge(mesh: Mesh, camera: Camera) -> Mesh:
     viewer, longest_of_all = camera.position, None
     ratio = LOST_BY_EDGE * _pixel(camera) / (2.0**-24 * STEPS_LOST)
     ratio = min(max(ratio, SMALLEST_RATIO), LARGEST_RATIO)
-    # No edge is longer than the whole, and nothing of it nearer than its bounds: true of most meshes.
+    # A quick test that most meshes pass: the whole is short enough for its own distance.
     lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     away = np.maximum(np.maximum(lower - viewer, viewer - upper), 0.0)
     if np.linalg.norm(upper - lower) <= ratio * np.linalg.norm(away):
@@ -96,12 +95,12 @@ def cut_huge(mesh: Mesh, camera: Camera) -> Mesh:
         if longest_of_all is None:
             longest_of_all = lengths.max()
         reach = lengths.max(axis=1) / ratio
-        # As boxes are nearer than what they hold, most triangles need no more than theirs.
+        # A triangle's box is at least as near as the triangle: most triangles pass by their box.
         huge = reach > np.maximum(_box_distances(corners, viewer), SMALLEST_DISTANCE * longest_of_all)
         huge[huge] = reach[huge] > _distances(corners[huge], viewer)
         if not huge.any():
             break
-        # Shorter ones are no neighbours along an edge that is cut.
+        # Triangles with shorter edges only cannot share an edge that is cut.
         concerned = lengths.max(axis=1) >= lengths[huge].max(axis=1).min()
         parts = _halved(mesh, mesh.triangles[concerned], longest[concerned], huge[concerned])
         mesh = replace(parts, triangles=np.concatenate([mesh.triangles[~concerned], parts.triangles]))
@@ -117,7 +116,7 @@ def is_coarse(mesh: Mesh) -> bool:
 
 
 def unresolved_steps(vertices: Vectors, origin: Vectors, camera: Camera) -> float:
-    """How many pixels the rounding of single precision makes, if these are too many, else 0.
+    """By how many pixels single precision moves what is in view, if that is too much, else 0.
 
     It is compared with pixels of a picture of `PIXELS` rows, at the vertices in view.
 
@@ -204,7 +203,7 @@ def _box_distances(corners: Vectors, point: Vectors) -> Vectors:
 
 def _distances(corners: Vectors, point: Vectors) -> Vectors:
     """From `point` to the triangles, float64 (triangles,); infinite for those without area."""
-    # About the point, or what is far from the world's origin would be rounded away.
+    # Relative to the point: far from the world's origin the distances would be lost in rounding.
     with np.errstate(divide="ignore", invalid="ignore"):
         nearest = closest_point(corners - point, np.zeros((len(corners), 3)))
     return np.nan_to_num(np.linalg.norm(nearest, axis=1), nan=np.inf)

@@ -1,4 +1,4 @@
-"""Checked access to what describes a scene: every error names file or caller, key and index."""
+"""Checked access to the tables that describe a scene: errors name file or caller, key and index."""
 
 from __future__ import annotations
 

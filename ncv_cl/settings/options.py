@@ -1,7 +1,7 @@
-"""The options of a render that few people set, in groups; each is declared here and nowhere else.
+"""The options of a render that few people set, in groups; each is declared only here.
 
-`gathered` takes them by group or by name, `arguments.py` makes the command line of them, and
-`Settings.options` what metadata and checkpoints say of them.
+`gathered` accepts them by group or by name, `arguments.py` makes them options of the command line, and
+`Settings.options` lists them for metadata and checkpoints.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from ..network.network import Network
 from .presets import PRESETS
 
-# What the kernels' indices of 32 bits can count.
+# Limits of the kernels' 32-bit indices.
 MOST_SAMPLES = 1 << 31
 MOST_CELLS = (1 << 31) - 1
 
@@ -42,10 +42,12 @@ class Sampling:
         default what the preset says for ncv, "uniform" for mc.
     visibility : {"auto", "lines", "embree"}
         Test shadow rays that few triangles can block on the device ("auto"), or trace all of them by
-        embree: pixels differ only where a ray grazes an edge. "lines" samples ambient occlusion by whole
-        slices of the hemisphere, whose free heights are found exactly: no rays, less error.
+        embree: pixels differ only where a ray grazes an edge. "lines" finds in direct light what is seen
+        of whole lines on the lights, and samples only that, and in ambient occlusion what is seen in
+        whole slices of the hemisphere: other samples, no shadow rays, less error.
     skip_dark : bool
-        Leave out points that face away from every light, or else compute their zeros, to compare.
+        Leave out points that face away from every light, whose value is zero, or compute them as well,
+        to compare.
     """
 
     sampler: Literal["sobol", "independent"] = "sobol"
@@ -66,19 +68,20 @@ class Training:
     Attributes
     ----------
     preset : {"default", "wide", "slides"}
-        The network, its schedule and its use: what measured best in time to error, the same with twice
-        as many neurons a layer, or the slides' own.
+        Network and schedule: "default" measured best in time to error, "wide" has twice as many neurons
+        a layer, "slides" is the slides' own.
     train_spp : float or "auto"
-        Training samples a shading point on average; few are drawn as more of them at fewer points.
-        "auto" draws rounds, each as many samples as all before, while the next one is predicted to pay:
+        Training samples a shading point on average; small numbers are drawn as more samples at fewer
+        points. "auto" draws rounds, each as large as all before, while the next one is predicted to pay:
         from 2^18 samples in all to 2^21, at most `spp` / 4 a point.
     density : {"table", "subdivision", "none"}, optional
-        Sample the residual where a second network predicts that it is large: constant on 8 × 8 cells,
-        linear on the triangles that the first layer cuts the square into, or uniformly. By default what
-        the preset says.
+        Sampling density of the residual, large where a second network predicts a large residual:
+        constant on 8 × 8 cells ("table"), linear on the triangles into which the first layer cuts the
+        square ("subdivision"), or uniform ("none"). The default is the preset's.
     network : Network, str or Path, optional
-        A trained network, or its file, to use instead of training one. Only a file holds the density as
-        well. Control coefficients belong to the image they were found for, and are 1 here.
+        A trained network, or its file, to use instead of training one. A file also holds the density's
+        network; a `Network` does not, and the residual is then sampled uniformly. Control coefficients
+        are 1.
     """
 
     preset: str = "default"
@@ -101,12 +104,12 @@ class Stopping:
     Attributes
     ----------
     target_mse : float, optional
-        End after the pass in which the image's mean square error is estimated to be this. An estimate is
-        believed only when thousands of the image's samples are to be expected on each light.
+        End after the pass in which the image's mean square error is estimated to be this or less. An
+        estimate is believed only when every light is expected to have got thousands of samples.
     time_limit : float, optional
-        End before the pass that would outlast so many seconds. Passes are then short, and training ends
-        in time; what no limit can interrupt is one such pass, and the compilation of kernels that the
-        driver has not kept. Bits then depend on the clock.
+        Seconds. End before a pass that would exceed them; passes are short then, and training ends in
+        time. One pass, and the compilation of kernels that the driver has not kept, cannot be
+        interrupted. The image's bits then depend on the clock.
     stop : callable, optional
         Asked between passes; True ends rendering with the passes done so far.
     """
@@ -123,18 +126,18 @@ class Stopping:
 
 @dataclass(frozen=True)
 class Files:
-    """What a render reads and writes beside its scene and its picture.
+    """Files that a render reads and writes beside its scene and its picture.
 
     Attributes
     ----------
     save_network : str or Path, optional
         Write the trained network and its density here (.npz).
     checkpoint : str or Path, optional
-        Write what there is here after training and after every pass; a process that is killed loses one
-        pass at most.
+        Write the render's state here after training and after every pass; a process that is killed loses
+        one pass at most.
     resume : str or Path, optional
-        Go on from this checkpoint, to the bits that a render without interruption would have had. All
-        else must be as it was, but for the groups stopping, files and machine.
+        Go on from this checkpoint, to the bits of a render without interruption. All options must be as
+        they were, but for the groups stopping, files and machine.
     reference : ndarray, str or Path, optional
         An image, float (height, width, 3), or its file, to measure the error against: adds `mse` and
         `relmse` to the statistics.
@@ -148,7 +151,7 @@ class Files:
 
 @dataclass(frozen=True)
 class Machine:
-    """What of the host a render may use.
+    """Use of the host.
 
     Attributes
     ----------
@@ -206,7 +209,7 @@ def gathered(groups: Mapping[str, object | None], options: Mapping[str, object])
 
 
 def changed(group: Any) -> list[str]:
-    """Names of the options that are not at their defaults."""
+    """Names of the options that differ from their defaults."""
     default = type(group)()
     names = [one.name for one in dataclasses.fields(group)]
     return [name for name in names if getattr(group, name) is not getattr(default, name)
@@ -214,14 +217,14 @@ def changed(group: Any) -> list[str]:
 
 
 def choices_of(hint: object) -> tuple[str, ...]:
-    """The texts that an option of this type may be."""
+    """The texts that are values of this type."""
     if typing.get_origin(hint) is Literal:
         return typing.get_args(hint)
     return tuple(text for part in typing.get_args(hint) for text in choices_of(part))
 
 
 def check_choices(group: Any) -> None:
-    """Refuse texts that are none of an option's choices."""
+    """Raise for a text that is not one of an option's choices."""
     hints = typing.get_type_hints(type(group))
     for one in dataclasses.fields(group):
         value, choices = getattr(group, one.name), choices_of(hints[one.name])
@@ -231,7 +234,7 @@ def check_choices(group: Any) -> None:
 
 
 def check_whole(name: str, value: object, most: int) -> None:
-    """Refuse what is not a whole number from 1 to `most`."""
+    """Raise for anything but a whole number from 1 to `most`."""
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not is_number or not 1 <= value <= most or int(value) != value:
         raise ValueError(
@@ -240,7 +243,7 @@ def check_whole(name: str, value: object, most: int) -> None:
 
 
 def check_real(name: str, value: object, most: float, other: str = "") -> None:
-    """Refuse what is not a positive finite number up to `most`."""
+    """Raise for anything but a positive finite number up to `most`."""
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not is_number or not 0 < value <= most or value == math.inf:
         raise ValueError(f"{name} must be a positive number{other}, got {value!r}")

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 from ..integrands import Integrand
 from ..network.encode import Encoding
-from ..network.network import GROUPS, NetworkDescription
+from ..network.network import WEIGHT_GROUPS, NetworkDescription
+from . import tuning
 from .schedule import Schedule
 
 # More than any image has points: the whole frame is one minibatch.
@@ -50,26 +51,23 @@ class Preset:
         return NetworkDescription(encoding, integrand.channels, self.hidden, self.modulated, demodulated)
 
 
-# What measured best: little capacity in (u, v), much in φ, many small steps.
+# Little capacity in (u, v), much in φ, many small steps.
 _WIDE = Preset(
-    hidden=(16, 16),
-    modulated=GROUPS,
+    hidden=tuning.WIDE_HIDDEN,
+    modulated=WEIGHT_GROUPS,
     demodulates=True,
-    grid_levels=6,
-    grid_features=8,
-    grid_base=4,
-    grid_entries=1 << 16,
-    # Eight uses of a sample leave the least residual, or nearly, from 4 samples a point to 64.
-    schedule=Schedule(epochs=8),
+    grid_levels=tuning.GRID_LEVELS,
+    grid_features=tuning.GRID_FEATURES,
+    grid_base=tuning.GRID_BASE,
+    grid_entries=tuning.GRID_ENTRIES,
+    schedule=Schedule(),
     subset=True,
     density=True,
 )
 
 PRESETS = {
-    # Where the density says where the residual is, its last tenth hardly matters: at 256 samples the
-    # image's error is 14 % above that of 16 × 16 neurons on the Cornell box, and the same within 3 % for
-    # occluders and knot (96 × 96 points, 4 seeds); integration and inference cost a third.
-    "default": replace(_WIDE, hidden=(8, 8)),
+    # Where the density says where the residual is, its last tenth hardly matters.
+    "default": replace(_WIDE, hidden=tuning.HIDDEN),
     # The least residual variance, for few integrals of many samples each.
     "wide": _WIDE,
     # The slides' network and schedule: two layers of 32, φ in the first bias alone, one sample of

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from . import tuning
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -34,16 +36,16 @@ class Schedule:
         Demodulated networks: samples weigh as this power of the point's factor.
     """
 
-    batch: int = 64
-    samples_a_step: int = 16
-    epochs: int = 4
-    rate: float = 1e-2
-    final_rate: float = 1e-3
-    beta1: float = 0.9
-    beta2: float = 0.99
+    batch: int = tuning.BATCH
+    samples_a_step: int = tuning.SAMPLES_A_STEP
+    epochs: int = tuning.EPOCHS
+    rate: float = tuning.RATE
+    final_rate: float = tuning.FINAL_RATE
+    beta1: float = tuning.BETA1
+    beta2: float = tuning.BETA2
     epsilon: float = 1e-8
-    table_rate: float = 5.0
-    table_beta2: float = 0.9
+    table_rate: float = tuning.TABLE_RATE
+    table_beta2: float = tuning.TABLE_BETA2
     table_adam: bool = False
-    average_decay: float = 0.99
-    weight_power: float = 0.5
+    average_decay: float = tuning.AVERAGE_DECAY
+    weight_power: float = tuning.WEIGHT_POWER

@@ -1,4 +1,4 @@
-"""What a render is asked for, checked."""
+"""All settings of a render, checked."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Settings:
         self._check_method()
 
     def _check_method(self) -> None:
-        """No option is dropped without a word: those of the other method are errors."""
+        """Raise for options that have no effect with this method."""
         allocation = self.sampling.allocation
         if self.method != "mc":
             if allocation == "pilot":
@@ -76,7 +76,7 @@ class Settings:
             )
 
     def check_files(self, files: Files) -> None:
-        """Refuse to promise a file that this method cannot write."""
+        """Raise for a file that this method cannot write."""
         if self.method == "mc" and files.save_network is not None:
             raise ValueError("plain Monte Carlo has no network to save: take method 'ncv' or 'auto'")
 
@@ -84,7 +84,7 @@ class Settings:
         """The same with the method that "auto" stands for."""
         if method == "ncv":
             return dataclasses.replace(self, method=method)
-        # What only a network would need has no meaning then.
+        # Options of a network have no effect then.
         allocation = None if self.sampling.allocation == "magnitude" else self.sampling.allocation
         sampling = dataclasses.replace(self.sampling, allocation=allocation)
         return dataclasses.replace(self, method=method, sampling=sampling, training=Training())
@@ -106,35 +106,35 @@ class Settings:
 
     @property
     def residual_density(self) -> str:
-        """What the residual is sampled by: "table", "subdivision" or "none"."""
+        """Sampling density of the residual: "table", "subdivision" or "none"."""
         if self.method == "mc":
             return "none"
         return self.training.density or ("table" if self.preset.density else "none")
 
     @property
     def uses_density(self) -> bool:
-        """Whether the residual is sampled by its learned density."""
+        """Whether the residual's samples follow a learned density."""
         return self.residual_density != "none"
 
     @property
     def allocation(self) -> str:
-        """How samples are spent over the image: "magnitude", "pilot" or "uniform"."""
+        """How samples are spread over the image: "magnitude", "pilot" or "uniform"."""
         follows = self.method != "mc" and self.preset.density
         return self.sampling.allocation or ("magnitude" if follows else "uniform")
 
     @property
     def needs_magnitude(self) -> bool:
-        """Whether the residual's magnitude is to be learned: for its density, or for the allocation."""
+        """Whether the residual's magnitude is learned, for the density or for the allocation."""
         return self.method != "mc" and (self.uses_density or self.allocation == "magnitude")
 
     @property
     def guides(self) -> bool:
-        """Whether training also learns where light comes from, for paths behind the first bounce."""
+        """Whether training also learns densities that guide bounces behind the first."""
         integrand = self.integrand
         return integrand.nested and integrand.guided and self.preset.density
 
     def training_points(
-        self, active: int, samples_a_point: int, auto_samples: int
+        self, active: int, samples_a_point: int, auto_spp: float
     ) -> tuple[np.ndarray, int]:
         """Which of `active` points get training samples, uint32, and how many each.
 
@@ -142,17 +142,18 @@ class Settings:
         ----------
         samples_a_point : int
             Where fewer are asked for on average, so many are drawn at fewer points.
-        auto_samples : int
-            Samples in all for `train_spp` "auto".
+        auto_spp : float
+            Samples a point on average for `train_spp` "auto".
         """
         spp = self.training.train_spp
         if spp == "auto":
-            spp = min(auto_samples / active, max(self.spp / 4, 1.0))
+            spp = auto_spp
         if not self.preset.subset or spp >= samples_a_point:
             return np.arange(active, dtype=np.uint32), max(1, round(spp))
         count = min(active, max(1, round(active * spp / samples_a_point)))
-        # One point at random of each of `count` runs: spread over the image, without a pattern.
-        # Runs of whole points: of two that shared one both might pick it, and count its samples twice.
+        # The points are cut into `count` runs, and one is taken at random from each: spread over the
+        # image, without a pattern. Runs share no point, or two runs might both take it and count its
+        # samples twice.
         edges = np.linspace(0, active, count + 1).astype(np.int64)
         generator = host_generator(self.seed, HostStream.TRAINING_POINTS)
         picks = edges[:-1] + (generator.uniform(size=count) * np.diff(edges)).astype(np.int64)

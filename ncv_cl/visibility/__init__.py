@@ -1,1 +1,1 @@
-"""Which triangles can stand between a point and the lights: shadow rays without a ray tracer."""
+"""Occluder lists of shading points: shadow rays without a ray tracer."""

@@ -4,38 +4,48 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..opencl.layout import Record
 from ..scene.load import Scene
 
-# Triangles of a scene whose shadow rays are tested so. Measured on PoCL 3.1, rays a second over those
-# of paths that trace every ray (Cornell box, its triangles cut): 1.38 at 32, 1.40 at 64, 1.15 at 128.
-MOST_CASTERS = 128
-# Floats of a triangle's record, as shadow.cl lays it out, and of what comes before the first.
-CASTER_FLOATS = 22
+# What is kept of a triangle, about the centre: its plane, and of each edge the Pluecker coordinates.
+CASTER = Record(
+    "CASTER",
+    {
+        "normal": 3,
+        "distance": 1,
+        **{f"{part}_{edge}": 3 for edge in range(3) for part in ("edge", "moment")},
+    },
+)
+# Floats of the centre, which comes before the first triangle.
 CENTRE_FLOATS = 4
 
 
 def shadow_casters(scene: Scene) -> np.ndarray:
-    """What shadow.cl reads of a scene, float32 (CENTRE_FLOATS + triangles * CASTER_FLOATS,)."""
+    """What shadow.cl reads of a scene, float32 (CENTRE_FLOATS + triangles * CASTER.size,)."""
     corners = scene.vertices[scene.triangles].astype(np.float64)
-    # The middle of a scene of all sizes may be far from what is seen; its origin is not (`scene_place`).
+    # The scene's origin is near what is seen (scene/place.py), its middle may be far away.
     centre = np.clip(np.float32(0), *scene.bounds)
     corners -= centre
     following = np.roll(corners, -1, axis=1)
-    edges = np.concatenate([following - corners, np.cross(corners, following)], axis=2)
+    edges, moments = following - corners, np.cross(corners, following)
     # Scaled before the cross product, whose squared length is very small for small triangles.
-    sides = edges[:, :2, :3] / np.abs(edges[:, :2, :3]).max(axis=(1, 2), keepdims=True)
+    sides = edges[:, :2] / np.abs(edges[:, :2]).max(axis=(1, 2), keepdims=True)
     normals = np.cross(sides[:, 0], sides[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    distances = np.sum(normals * corners[:, 0], axis=1, keepdims=True)
-    records = np.concatenate([normals, distances, edges.reshape(len(corners), -1)], axis=1)
+    records = CASTER.pack(
+        normal=normals,
+        distance=np.sum(normals * corners[:, 0], axis=1),
+        **{f"edge_{k}": edges[:, k] for k in range(3)},
+        **{f"moment_{k}": moments[:, k] for k in range(3)},
+    )
     before = np.append(centre, np.zeros(CENTRE_FLOATS - 3))
-    return np.concatenate([before, records.ravel()]).astype(np.float32)
+    return np.concatenate([before.astype(np.float32), records.ravel()])
 
 
-def shadow_defines(casters: int) -> dict[str, str]:
+def shadow_defines(casters: int) -> dict[str, int | str]:
     """The `-D` constants of shadow.cl; with 0 casters, shadow rays are to be traced."""
     return {
         "CASTERS": f"{casters}u",
-        "CASTER_FLOATS": f"{CASTER_FLOATS}u",
+        **CASTER.defines(),
         "CENTRE_FLOATS": f"{CENTRE_FLOATS}u",
     }

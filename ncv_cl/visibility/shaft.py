@@ -9,26 +9,24 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
+from . import tuning
 
 # Children of a box.
 BRANCH = 16
-# Triangles that are tested at most, the first that fits the memory for lists; points that have more in
-# their shafts leave their rays to embree.
-MOST_OCCLUDERS = (63, 31, 15)
-LIST_BYTES = 1 << 28
+# Triangles that are tested at most, fewer where all lists together do not fit their memory; points that
+# have more in their shafts leave their rays to embree.
+MOST_OCCLUDERS = 63
+MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
-# Of more lights the shafts are not looked for: they cost by their number, and together hold something
-# nearly everywhere, so that rays are traced all the same (a hall with pillars: as fast either way at 8).
-MOST_LIGHTS = 8
-# Blocks of VEC rays of one point that one work-item draws and tests.
-BLOCKS_A_ITEM = 4
+# The lists of all points that have too many, and of all that have none.
+COMMON_LISTS = 2
 # What rounding moves corners and planes by, of the largest coordinate.
 TOLERANCE = 16 * 2.0**-24
 
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= MOST_LIGHTS
+    return len(scene.lights) <= tuning.MOST_LIGHTS
 
 
 class Occluders:
@@ -39,17 +37,24 @@ class Occluders:
     device, scene, points
     integrand : Integrand
         One whose rays end on the lights (`to_lights`).
+    most : int
+        Longest list that is kept, if memory for all of them suffices.
 
     Attributes
     ----------
-    lists : HostArray
-        uint32 (points.active, words), as shaft.cl lays them out.
+    lists, starts : HostArray
+        uint32, the lists one after another as shaft.cl lays them out, and where each point's begins.
     corners : HostArray
         float32 (9, stride), corners of the triangles that the lists name.
     """
 
     def __init__(
-        self, device: Device, scene: Scene, points: ShadingPoints, integrand: Integrand
+        self,
+        device: Device,
+        scene: Scene,
+        points: ShadingPoints,
+        integrand: Integrand,
+        most: int = MOST_OCCLUDERS,
     ) -> None:
         corners = scene.vertices[scene.triangles].astype(np.float32)
         corners = corners[_along_curve(corners.mean(axis=1))]
@@ -61,57 +66,86 @@ class Occluders:
         firsts = [0, *np.cumsum([-(-count // BRANCH) * BRANCH for count in counts]).tolist()]
         rows = np.concatenate([_rows(np.concatenate(level, axis=1)) for level in levels], axis=1)
         boxes = HostArray.of(device, rows)
-        fitting = (n for n in MOST_OCCLUDERS if 4 * (n + 1) * points.active <= LIST_BYTES)
-        self._most = next(fitting, MOST_OCCLUDERS[-1])
-        self.lists = HostArray(device, (points.active, self._most + 1), np.uint32)
+        # No triangle is listed twice.
+        self._most = self._room = most
+        words = COMMON_LISTS + points.active * (min(most, len(corners)) + 1)
+        self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
+        self.starts = HostArray(device, points.active, np.uint32)
+        defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
+        find = build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")
+        lights = HostArray.of(device, integrand.data(scene))
         # The same numbers as at the lists' heads: the host wants these without the lists.
         lengths = HostArray(device, points.active, np.uint32)
-        defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
-        build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")(
-            points.active,
-            points.active,
-            points.total,
-            TOLERANCE * float(np.abs(scene.bounds).max()),
-            len(corners),
-            self.stride,
-            rows.shape[1],
-            counts[0],
-            firsts[1],
-            counts[1],
-            firsts[2],
-            counts[2],
-            points.surface,
-            HostArray.of(device, integrand.data(scene)),
-            boxes,
-            self.corners,
-            self.lists,
-            lengths,
-        )
-        self._lengths = lengths.read()
+        cursor = HostArray(device, 1, np.uint32)
+        while True:
+            cursor.fill(COMMON_LISTS)
+            find(
+                points.active,
+                point_count=points.active,
+                total_points=points.total,
+                tolerance=TOLERANCE * float(np.abs(scene.bounds).max()),
+                triangle_count=len(corners),
+                corner_stride=self.stride,
+                box_stride=rows.shape[1],
+                count_0=counts[0],
+                first_1=firsts[1],
+                count_1=counts[1],
+                first_2=firsts[2],
+                count_2=counts[2],
+                most=self._most,
+                capacity=self.lists.shape[0],
+                surface=points.surface,
+                lights=lights,
+                boxes=boxes,
+                corners=self.corners,
+                occluders=self.lists,
+                starts=self.starts,
+                lengths=lengths,
+                cursor=cursor,
+            )
+            self._lengths = lengths.read()
+            fitting = _longest_that_fits(self._lengths, self.lists.shape[0] - COMMON_LISTS)
+            if fitting is None:
+                return
+            self._most = fitting
 
     @property
     def unknown(self) -> int:
-        """Points that have too many to be listed, whose rays are traced."""
+        """Points with too many occluders for a list, whose rays are traced."""
         return int(np.count_nonzero(self._lengths == TOO_MANY))
 
     def counts(self, chosen: np.ndarray) -> np.ndarray:
         """How many triangles can shade each of the points `chosen`; too many count as twice the most."""
         return np.minimum(self._lengths[chosen], 2 * self._most)
 
+    def list_of(self, point: int) -> np.ndarray | None:
+        """The triangles, columns of `corners`, that can shade a point, uint32; None: too many."""
+        if self._lengths[point] == TOO_MANY:
+            return None
+        first = int(self.starts.read()[point]) + 1
+        return self.lists.read()[first : first + int(self._lengths[point])]
+
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of shaft.cl, beside those of surface.cl and the integrand."""
         return {
             "BRANCH": f"{BRANCH}u",
-            "MOST_OCCLUDERS": f"{self._most}u",
-            "OCCLUDER_WORDS": f"{self._most + 1}u",
+            "MOST_OCCLUDERS": f"{self._room}u",
             "TOO_MANY": f"{TOO_MANY}u",
-            "BLOCKS_A_ITEM": f"{BLOCKS_A_ITEM}u",
+            "BLOCKS_A_ITEM": f"{tuning.BLOCKS_A_ITEM}u",
         }
 
     @property
     def stride(self) -> int:
         """Floats of a row of `corners`."""
         return self.corners.shape[1]
+
+
+def _longest_that_fits(lengths: np.ndarray, words: int) -> int | None:
+    """The longest list, of `lengths` each, that is to be kept if all are to fit; None: they do."""
+    known = np.sort(lengths[lengths != TOO_MANY].astype(np.int64))
+    ends = np.cumsum(np.where(known > 0, known + 1, 0))
+    fit = int(np.searchsorted(ends, words, side="right"))
+    return None if fit == len(known) else int(known[fit]) - 1
 
 
 def _along_curve(centres: np.ndarray) -> np.ndarray:

@@ -25,9 +25,9 @@ class Slices:
 
     Attributes
     ----------
-    arguments : tuple
-        One over the largest coordinate, levels' first nodes, nodes of boxes, and leaves of triangles, as
-        slices.cl lays them out.
+    arguments : dict
+        Those of slices.cl, by name: one over the largest coordinate, levels' first nodes, nodes of
+        boxes, and leaves of triangles.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -37,13 +37,13 @@ class Slices:
         levels = box_levels(lower[order], upper[order])
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
         self._levels = len(levels)
-        self.arguments = (
-            1 / float(np.abs(corners).max()),
-            HostArray.of(device, firsts.astype(np.uint32)),
-            HostArray.of(device, np.concatenate(levels)),
-            # Triangles without extent: no plane has their corners on two sides.
-            HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0))),
-        )
+        self.arguments = {
+            "unit": 1 / float(np.abs(corners).max()),
+            "levels": HostArray.of(device, firsts.astype(np.uint32)),
+            "boxes": HostArray.of(device, np.concatenate(levels)),
+            # What fills up a leaf is without extent: no plane has its corners on two sides.
+            "triangles": HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0))),
+        }
 
     def defines(self) -> dict[str, str]:
         """The `-D` constants of slices.cl, beside those of surface.cl."""

@@ -1,4 +1,4 @@
-"""What the readers of mesh files share: what they return, and how they say what they left out."""
+"""What the readers of mesh files share: their results, and notes on what they left out."""
 
 from __future__ import annotations
 

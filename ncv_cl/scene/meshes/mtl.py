@@ -1,6 +1,6 @@
 """Material libraries of OBJ files (MTL) in the renderer's terms.
 
-Nothing here fails: what a look cannot have is noted, and the nearest value is taken.
+Nothing here raises: a property that cannot be rendered is noted, and the nearest value is taken.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ class MaterialReader:
             self._notes.look(f"materials without Kd, whose albedo is {FALLBACK_ALBEDO:g}", self._name)
             diffuse = three(FALLBACK_ALBEDO)
         elif textured and not any(diffuse):
-            # Nobody who gives a texture means to see nothing of it, and many tools write this.
+            # Many tools write a black colour with a texture; then the texture counts as if the colour
+            # were white.
             self._notes.look(
                 "materials with a black Kd beside a texture, which is taken for white", self._name
             )

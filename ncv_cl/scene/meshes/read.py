@@ -94,7 +94,7 @@ def read_meshes(path: Path, transform: Vectors, smooth: bool | None) -> FileMesh
     except MemoryError as error:
         raise ValueError("cannot be read: it announces more than fits in memory") from error
     except (KeyError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
-        # What a file leaves out or has of another type than its format says.
+        # Errors of a file that lacks a part, or has one of another type than its format says.
         raise ValueError(f"cannot be read, for it is malformed: {error!r}") from error
     geometries = [geometry for geometry in geometries if len(geometry.triangles)]
     if not geometries:

@@ -1,0 +1,179 @@
+"""Direct light along lines against points: error by number, seconds to equal error, and tuned constants.
+
+    python bench/bench_lines.py errors       mean square error by samples, and its exponent
+    python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points
+    python bench/bench_lines.py network      what a control variate takes off the error of few lines
+    python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
+
+Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
+of 8192 lines, and is compared with 4096 points that embree traced before anything is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from training import SCENES
+
+import ncv_cl as ncv
+from ncv_cl.host.clock import Stopwatch
+from ncv_cl.integrands import DirectLight
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.rendering.prepare import prepare
+from ncv_cl.settings.options import Sampling
+from ncv_cl.settings.settings import Settings
+from ncv_cl.visibility import tuning
+
+NAMES = ("cornell_box", "occluders", "knot", "interior")
+NUMBERS = (16, 64, 256, 1024)
+LADDER = (16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256, 320, 384, 512, 768, 1024)
+CONSTANTS = {
+    "MOST_GAPS": (2, 4, 8, 16),
+    "LINE_BLOCKS": (4, 8, 16, 32),
+    "SORTED_FROM": (2, 6, 12, 24, 48),
+}
+
+
+class Case:
+    """Renders of one scene, and their errors.
+
+    Parameters
+    ----------
+    name : str
+        Of a shipped scene.
+    size : int
+        Pixels a side.
+    """
+
+    def __init__(self, name: str, size: int) -> None:
+        self.name, self._size = name, size
+        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
+        truth = self.render("lines", 8192, 991)
+        self._truth = truth.pixels.astype(np.float64)
+        judge = self.render("embree", 4096, 992)
+        print(
+            f"{name}: 8192 lines and 4096 points of embree differ by {self.error(judge):.2e}; "
+            f"estimated {judge.stats['estimated_mse']:.2e}",
+            flush=True,
+        )
+
+    def render(self, visibility: str, spp: int, seed: int, **options: object) -> ncv.Image:
+        size = (self._size, self._size)
+        options = {"method": "mc", "visibility": visibility, "spp": spp, "seed": seed, **options}
+        return ncv.render(self._scene, "direct", size=size, **options)
+
+    def error(self, image: ncv.Image) -> float:
+        return float(np.mean((image.pixels - self._truth) ** 2))
+
+
+def errors(case: Case, seeds: int) -> None:
+    for visibility in ("embree", "lines"):
+        found = [
+            np.mean([case.error(case.render(visibility, n, seed)) for seed in range(seeds)])
+            for n in NUMBERS
+        ]
+        falls = -np.diff(np.log(found)) / np.diff(np.log(NUMBERS))
+        row = " ".join(f"{n}: {e:.2e}" for n, e in zip(NUMBERS, found, strict=True))
+        print(f"  {visibility:6} {row}  falls by {np.round(falls, 2)}", flush=True)
+
+
+def equal(case: Case, rounds: int) -> None:
+    known: dict[int, float] = {}
+    for points in (1024, 4096):
+        goal = case.error(case.render("auto", points, 5))
+        for number in LADDER:
+            known.setdefault(number, case.error(case.render("lines", number, 5)))
+            if known[number] <= goal:
+                break
+        rivals = {"auto": points, "lines": number}
+        seconds = {name: [] for name in rivals}
+        for seed in range(rounds):
+            for name, spp in rivals.items():
+                started = time.perf_counter(), time.process_time()
+                stages = case.render(name, spp, seed).stats["seconds"]
+                ended = time.perf_counter(), time.process_time()
+                seconds[name].append((ended[0] - started[0], ended[1] - started[1]))
+        (wall, processor), ours = (
+            [statistics.median(one) for one in zip(*seconds[name], strict=True)] for name in rivals
+        )
+        print(
+            f"  error of {points} points {goal:.2e}: {number} lines ({known[number]:.2e}); "
+            f"wall {wall:.2f} / {ours[0]:.2f} = {wall / ours[0]:.1f}, "
+            f"processor {processor:.2f} / {ours[1]:.2f} = {processor / ours[1]:.1f}"
+        )
+        print("    of lines:", {k: round(v, 3) for k, v in stages.items() if v >= 1e-3}, flush=True)
+
+
+def network(case: Case, seeds: int) -> None:
+    methods = {
+        "mc": {},
+        "ncv, uniform": {"method": "ncv", "density": "none", "allocation": "uniform", "train_spp": 16},
+        "ncv": {"method": "ncv", "train_spp": 16},
+    }
+    for sampler in ("sobol", "independent"):
+        for spp in (4, 16, 64):
+            row = []
+            for name, options in methods.items():
+                started = time.process_time()
+                images = [
+                    case.render("lines", spp, s, **{"sampler": sampler, **options}) for s in range(seeds)
+                ]
+                seconds = (time.process_time() - started) / seeds
+                row.append(f"{name} {np.mean([case.error(i) for i in images]):.2e} ({seconds:.2f} s)")
+            print(f"  {sampler} {spp}: {'; '.join(row)}", flush=True)
+
+
+def drawing(name: str, size: int, spp: int, rounds: int) -> tuple[float, float]:
+    """Least processor nanoseconds a sample, and what part of the samples no line was found for."""
+    scene = ncv.load_scene(SCENES / f"{name}.toml")
+    settings = Settings(DirectLight(), "mc", spp, (size, size), 0, Sampling(visibility="lines"))
+    problem = prepare(choose_device(None), scene, settings, None, Stopwatch())
+    source, least = problem.source, np.inf
+    for _ in range(rounds):
+        started = time.process_time()
+        for part, samples in source.parts(range(problem.points.active), range(spp)):
+            source.draw(part, samples, 0)
+        least = min(least, time.process_time() - started)
+    rays = source.rays
+    return 1e9 * least / (spp * problem.points.active), rays.off_lines / max(rays.on_device, 1)
+
+
+def constants(size: int, rounds: int) -> None:
+    for constant, values in CONSTANTS.items():
+        chosen = getattr(tuning, constant)
+        for value in values:
+            setattr(tuning, constant, value)
+            row = []
+            for name in NAMES[:3]:
+                for spp in (64, 256):
+                    nanoseconds, refused = drawing(name, size, spp, rounds)
+                    row.append(f"{name} {spp}: {nanoseconds:.1f} ns, {refused:.0e} refused")
+            print(f"{constant} {value}: {'; '.join(row)}", flush=True)
+        setattr(tuning, constant, chosen)
+
+
+def main() -> None:
+    parts: dict[str, Callable[[Case, int], None]] = {
+        "errors": errors,
+        "equal": equal,
+        "network": network,
+    }
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=(*parts, "constants"))
+    parser.add_argument("--scenes", nargs="+", default=NAMES)
+    parser.add_argument("--size", type=int, default=96)
+    parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed renders of each")
+    options = parser.parse_args()
+    if options.part == "constants":
+        constants(options.size, options.rounds)
+        return
+    for name in options.scenes:
+        parts[options.part](Case(name, options.size), options.rounds)
+
+
+if __name__ == "__main__":
+    main()

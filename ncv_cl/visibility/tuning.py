@@ -1,0 +1,27 @@
+"""Numbers of visibility that were measured; each names the script that finds it again.
+
+``python bench/bench_tuning.py NAME`` prints what other values do to error times processor time.
+"""
+
+from __future__ import annotations
+
+# Of more lights the shafts are not looked for: they cost by their number, and together hold something
+# nearly everywhere, so that rays are traced all the same: python bench/bench_tuning.py MOST_LIGHTS, in a
+# hall with pillars.
+MOST_LIGHTS = 8
+# Blocks of VEC rays of one point that one work-item draws and tests: python bench/bench_tuning.py
+# BLOCKS_A_ITEM.
+BLOCKS_A_ITEM = 4
+# Triangles of a scene whose paths' shadow rays are each tested against all of them instead of traced:
+# python bench/bench_tuning.py MOST_CASTERS, on a Cornell box cut into 128 triangles.
+MOST_CASTERS = 128
+
+# Lines on the lights. Free parts of a line that are kept apart, beyond which its sample is tested as a
+# point: in the shipped scenes none has more than 16, and one in 10,000 more than 8; room costs no time.
+# Blocks of VEC lines of one point that one work-item draws: the more, the nearer are neighbours.
+# Occluders from which on lines are brought in order, where from 2 to 48 no difference was to be seen:
+# python bench/bench_lines.py constants, and in whole renders python bench/bench_tuning.py MOST_GAPS
+# LINE_BLOCKS SORTED_FROM.
+MOST_GAPS = 16
+LINE_BLOCKS = 16
+SORTED_FROM = 12

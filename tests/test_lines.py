@@ -1,0 +1,338 @@
+"""Lines on lights: what is free of them against embree, closed forms, pictures that stay the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from fitting import fitting
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import (
+    bare_kernel,
+    batch_arrays,
+    camera_at,
+    grey,
+    light_at,
+    light_corners,
+    mesh_scene,
+    polygon_irradiance,
+    quad,
+    sampling,
+    shadowed_values,
+)
+from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
+
+from ncv_cl.integrands import DirectLight
+from ncv_cl.opencl.device import HostArray, open_device
+from ncv_cl.points.points import surface_defines
+from ncv_cl.rendering.render import render
+from ncv_cl.sampling.samples import NO_RAY, SEEN
+from ncv_cl.visibility.lines import line_defines
+
+# Of samples (u, v): whether v is in a gap of its line, and how far from the next end of one.
+KERNEL = """
+kernel void free_of_lines(const uint samples, const uint point_count, const uint total_points,
+                          const uint corner_stride, global const float *surface,
+                          global const float *lights, global const uint *starts,
+                          global const uint *lists, global const float *corners, global const float *u,
+                          global const float *v, global float *is_free, global float *margin) {
+  const uint blocks = samples / VEC;
+  const uint point = (uint)get_global_id(0) / blocks;
+  const ulong at = (ulong)get_global_id(0) * VEC;
+  if (point >= point_count || lists[starts[point]] == TOO_MANY) return;
+  const ShadingPoint p = load_shading_point(surface, total_points, point);
+  real found = (real)0.0f;
+  real apart = (real)FAR_AWAY;
+  real across;
+  const whole light_of = light_of_line(lights, &p, LOAD(u + at), &across);
+  for (int light = 0; light < LIGHT_COUNT; ++light) {
+    const whole here = light_of == light;
+    const LightLines lines = lines_of(&p, lights, light);
+    Block block[BLOCKS_A_ITEM];
+    begin_block(&lines, across, here, &block[0]);
+    cut_lines(&lines, lists + starts[point], corners, corner_stride, ray_origin(&p), 1, block);
+    const Gaps *gaps = &block[0].gaps;
+    const LightView *view = &lines.view;
+    const real squared = FMA(block[0].x, block[0].x, view->z * view->z);
+    const real all = sine_between(squared, block[0].begin, block[0].begin + view->length);
+    for (uint k = 0; k < gaps->used; ++k) {
+      const whole is_gap = here && (gaps->low[k] < gaps->high[k]);
+      real low = (gaps->low[k] - block[0].begin) / view->length;
+      real high = (gaps->high[k] - block[0].begin) / view->length;
+      if (lines.large) {
+        low = sine_between(squared, block[0].begin, gaps->low[k]) / all;
+        high = sine_between(squared, block[0].begin, gaps->high[k]) / all;
+      }
+      const real own_v = LOAD(v + at);
+      found = SELECT(found, (real)1.0f, is_gap && (own_v >= low) && (own_v <= high));
+      apart = SELECT(apart, min(apart, min(fabs(own_v - low), fabs(own_v - high))), is_gap);
+    }
+    /* What no line could hold is left to points. */
+    found = SELECT(found, (real)2.0f, here && gaps->refused);
+  }
+  STORE(found, is_free + at);
+  STORE(apart, margin + at);
+}
+"""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Of samples that bring light but for shadows: who sees it, and how far in v the next edge is."""
+
+    embree: np.ndarray
+    lines: np.ndarray
+    margin: np.ndarray
+    refused: int
+
+    @property
+    def disagreements(self) -> np.ndarray:
+        """Distances of those about which they disagree."""
+        return self.margin[self.embree != self.lines]
+
+
+def compared(device, scene, size=(12, 10), samples=64) -> Compared:
+    points, source, _ = sampling(device, scene, DirectLight(), size, samples)
+    arrays = batch_arrays(batch := source.draw(range(points.active), range(samples), 0), 3)
+    embree = (shadowed_values(batch, 3) > 0).any(axis=0)
+    live = (arrays["value"] > 0).any(axis=0)
+    _, on_lines, _ = sampling(device, scene, DirectLight(), size, samples, lines=True)
+    occluders = on_lines.occluders
+    defines = {
+        **surface_defines(), **occluders.defines(), **line_defines(), **DirectLight().defines(scene),
+    }  # fmt: skip
+    files = ("common", "surface", "bsdf", "lights", "shaft", "gaps", "lines")
+    kernel = bare_kernel(device, files, defines, KERNEL, "free_of_lines")
+    found = [HostArray(device, live.shape, np.float32) for _ in range(2)]
+    kernel(
+        live.size // device.vector_width,
+        samples=samples,
+        point_count=points.active,
+        total_points=points.total,
+        corner_stride=occluders.stride,
+        surface=points.surface,
+        lights=HostArray.of(device, DirectLight().data(scene)),
+        starts=occluders.starts,
+        lists=occluders.lists,
+        corners=occluders.corners,
+        u=HostArray.of(device, arrays["u"]),
+        v=HostArray.of(device, arrays["v"]),
+        is_free=found[0],
+        margin=found[1],
+    )
+    is_free, margin = (array.read() for array in found)
+    known = np.array([occluders.list_of(point) is not None for point in range(points.active)])
+    asked = live & known[:, None] & (is_free < 2)
+    return Compared(
+        embree[asked],
+        is_free[asked] == 1,
+        margin[asked],
+        int((is_free[live & known[:, None]] == 2).sum()),
+    )
+
+
+@pytest.mark.parametrize("count", [0, 3, 40, 600])
+@pytest.mark.parametrize("lights", [LIGHTS, SEVERAL_LIGHTS], ids=["one-light", "two-lights"])
+def test_lines_are_free_where_embree_sees_the_light(device, count, lights):
+    found = compared(device, soup(count, lights, 3 / (2 + count**0.5)))
+    assert found.embree.size > 2000 and (count == 0 or 0 < found.embree.mean() < 1)
+    # Where a ray grazes an edge rounding decides.
+    assert len(found.disagreements) < 1e-4 * found.embree.size
+    assert (found.disagreements < 1e-4).all()
+    assert found.refused < 0.02 * found.embree.size
+
+
+def moved(triangles: np.ndarray, *by: float) -> np.ndarray:
+    return np.asarray(triangles) + by
+
+
+GRID = np.linspace(-2, 2, 5)
+SHEET = [quad([x, 1, z], [0, 0, 1], [1, 0, 0]) for x in GRID[:-1] for z in GRID[:-1]]
+BOX = [
+    quad([0, 0, 0], [1, 0, 0], [0, 1, 0]), quad([0, 0, 1], [1, 0, 0], [0, 1, 0]),
+    quad([0, 0, 0], [0, 0, 1], [0, 1, 0]), quad([1, 0, 0], [0, 0, 1], [0, 1, 0]),
+    quad([0, 0, 0], [1, 0, 0], [0, 0, 1]), quad([0, 1, 0], [1, 0, 0], [0, 0, 1]),
+]  # fmt: skip
+RANDOM = np.random.default_rng(5).normal(size=(30, 3, 3)) * 0.6 + [0, 1.5, 0]
+NEEDLES = RANDOM.copy()
+NEEDLES[:, 2] = NEEDLES[:, 1] + 1e-4 * NEEDLES[:, 2]
+SPECIAL = {
+    "shared edges": [moved(one, 0.3, 0, 0.1) for one in SHEET[::2]],
+    "duplicates": [RANDOM, RANDOM, RANDOM[:, ::-1]],
+    "coplanar": [quad([x, 1, -x], [0, 0, 0.7], [0.9, 0, 0.2]) for x in np.linspace(-1, 1, 9)],
+    "T-junctions": [quad([-2, 1, 0], [0, 0, 2], [4, 0, 0]), *SHEET[:2], *SHEET[4:6], *SHEET[8:10]],
+    "interpenetrating": [moved(s * one, -t, 0, 0.2 * t) for s, t in ((1, 0), (1.3, 0.4)) for one in BOX],
+    "needles": [NEEDLES],
+    "through the light's plane": [moved(RANDOM, 0, 2.5, 0), quad([-0.5, 3, 0], [0, 1, 0], [1, 0, 0])],
+    "in the light's plane": [quad([x, 4, -3], [0, 0, 6], [0.3, 0, 0]) for x in (-1.2, 0.2)],
+    "through the surface's plane": [moved(RANDOM, 0, -2.5, 0), quad([0, -2, 0], [0, 2, 0], [1, 0, 1])],
+    "in the surface's plane": [quad([-1, -1, -1], [0, 0, 2], [2, 0, 0]), moved(BOX[0], 1, -1, 0)],
+    "along the light's edges": [quad([-0.5, y, -2], [0, 0, 4], [y / 3, 0, 0]) for y in (1, 2, 3)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPECIAL)
+@pytest.mark.parametrize("light", ["upright", "skew", "in a wall"])
+def test_special_triangles_block_what_they_block_for_embree(device, name, light):
+    lights = {
+        "upright": LIGHTS[0],
+        "skew": light_at([-1, 4, -1], [2, 0, 0.7], [0.5, 0, 2], 5),
+        "in a wall": light_at([-4, 0, -1], [0, 2, 0], [0, 0, 2], 5),
+    }
+    triangles = np.concatenate([FLOOR, *SPECIAL[name]])
+    found = compared(device, mesh_scene(triangles, CAMERA, (lights[light],), (grey(),)))
+    assert found.embree.size > 1000
+    assert len(found.disagreements) < 1e-3 * found.embree.size
+    assert (found.disagreements < 2e-4).all()
+
+
+# Corners on a grid of whole numbers lie in planes of each other, of the light and of the floor.
+CORNERS = st.tuples(st.integers(-3, 3), st.integers(-1, 4), st.integers(-3, 3))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(CORNERS, CORNERS, CORNERS), min_size=1, max_size=12))
+def test_triangles_with_corners_on_a_grid(one_device, triangles):
+    scene = mesh_scene(np.concatenate([FLOOR, np.array(triangles, float)]), CAMERA, LIGHTS, (grey(),))
+    found = compared(one_device, scene, (8, 6), 32)
+    assert (found.disagreements < 2e-4).all()
+
+
+def test_no_line_slips_through_a_sheet(device):
+    """Common edges, of which some lie along the lines, and corners."""
+    light = light_at([-0.25, 3, -0.25], [0.5, 0, 0], [0, 0, 0.5])
+    camera = camera_at([0, 0.5, 0], [0, -1, 0], 20, up=(0, 0, 1))
+    scene = mesh_scene(np.concatenate([FLOOR, *SHEET]), camera, (light,), (grey(),))
+    points, source, _ = sampling(device, scene, DirectLight(), (16, 16), 256, lines=True)
+    arrays = batch_arrays(source.draw(range(points.active), range(256), 0), 3)
+    assert not arrays["value"].any() and (arrays["slot"] == NO_RAY).all()
+    assert source.rays.off_lines == 0
+
+
+def test_points_that_see_all_of_the_light_are_sampled_as_ever(device):
+    points, source, _ = sampling(device, soup(0), DirectLight(), (12, 10), 64)
+    plain = batch_arrays(source.draw(range(points.active), range(64), 0), 3)
+    points, source, _ = sampling(device, soup(0), DirectLight(), (12, 10), 64, lines=True)
+    on_lines = batch_arrays(source.draw(range(points.active), range(64), 0), 3)
+    for name in ("u", "v", "value"):
+        np.testing.assert_array_equal(plain[name], on_lines[name])
+    assert (on_lines["slot"] == SEEN).all() and source.rays.traced == 0
+
+
+def test_lines_with_too_many_gaps_are_left_to_points(device):
+    """A comb of more bars than a line has room for gaps; what is refused is as embree has it."""
+    bars = [quad([-3, 1, z], [0, 0, 0.015], [6, 0, 0]) for z in np.arange(-2, 2, 0.05)]
+    scene = mesh_scene(np.concatenate([FLOOR, *bars]), CAMERA, LIGHTS, (grey(),))
+    points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64)
+    plain = shadowed_values(source.draw(range(points.active), range(64), 0), 3)
+    points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64, lines=True)
+    on_lines = shadowed_values(source.draw(range(points.active), range(64), 0), 3)
+    assert 0 < source.rays.off_lines < source.rays.on_device
+    same = (plain == on_lines).all(axis=0) & (plain[0] > 0)
+    assert same.sum() > 100
+    # Both have the same mean: Z of their difference over points, whose errors are independent.
+    difference = (on_lines - plain).mean(axis=(0, 2))
+    assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(len(difference))
+    assert np.abs(difference).max() > 0
+
+
+def test_beside_the_lobe_of_a_glossy_surface(device):
+    """The lobe's samples are points, those of the lights lie on lines: the mean stays the same."""
+    plain = soup(12, SEVERAL_LIGHTS)
+    scene = replace(plain, materials=(grey(0.2, 0.6, 0.15),))
+    means = []
+    for lines in (False, True):
+        points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 1024, lines=lines)
+        values = [
+            shadowed_values(source.draw(part, range(1024), int(lines)), 3) for part in source.batches()
+        ]
+        means.append(np.concatenate(values, axis=1).mean(axis=2))
+    rays, share = source.rays, points.rows("lobe_share")[0, : points.active]
+    assert share.max() > 0.2 and 0 < rays.off_lines < rays.on_device and rays.traced == 0
+    # Z over points, whose errors are independent.
+    difference = means[1] - means[0]
+    scores = difference.mean(axis=1) / (difference.std(axis=1) / np.sqrt(difference.shape[1]))
+    assert (np.abs(scores) < 4).all() and difference.any()
+    close = np.abs(difference) < 0.05 * means[0].max(axis=1, keepdims=True)
+    assert close.all()
+
+
+def clipped(polygon: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """The part of a polygon (n, 3) where plane . x > 0 (Sutherland and Hodgman 1974)."""
+    kept = []
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        below, above = plane @ a, plane @ b
+        if below > 0:
+            kept.append(a)
+        if (below > 0) != (above > 0):
+            kept.append(a + below / (below - above) * (b - a))
+    return np.array(kept).reshape(-1, 3)
+
+
+# A strip before the light, by the direction of its sides: across the lines, between, and along them.
+SIDES = {"across": [1, 0, 0], "oblique": [1, 0, 0.6], "along": [0, 0, 1]}
+
+
+def strip_pictures(device, side, spp):
+    """Radiance of the floor by lines and by Lambert's formula, float64 (points,) each."""
+    side = np.array(SIDES[side], float)
+    half = 0.35 * np.array([-side[2], 0, side[0]])
+    strip = quad(np.array([0.2, 1.5, 0.1]) - half - 50 * side, 2 * half, 100 * side)
+    scene = mesh_scene(
+        np.concatenate([FLOOR, strip]), camera_at([0, 1, 3], [0, -1, 0], 30), LIGHTS, (grey(),)
+    )
+    points, source, _ = sampling(device, scene, DirectLight(), (10, 8), spp, lines=True)
+    floor = np.flatnonzero(points.rows("position")[1, : points.active] < -0.99)
+    assert len(floor) > 40
+    drawn = shadowed_values(source.draw(range(points.active), range(spp), 0), 3)[0].mean(axis=1)[floor]
+    expected = []
+    for position in points.rows("position").T[floor].astype(float):
+        corners = light_corners(LIGHTS[0]) - position
+        middle = np.array([0.2, 1.5, 0.1]) - position
+        planes = [np.cross(middle + sign * half, side) * sign for sign in (-1, 1)]
+        planes = [plane * np.sign(plane @ middle) for plane in planes]
+        blocked = clipped(clipped(corners, planes[0]), planes[1])
+        form = polygon_irradiance(corners, np.zeros(3), [0, 1, 0])
+        form -= polygon_irradiance(blocked, np.zeros(3), [0, 1, 0]) if len(blocked) > 2 else 0
+        expected.append(LIGHTS[0].radiance[0] * form * 0.5 / np.pi)
+    return drawn, np.array(expected)
+
+
+@pytest.mark.parametrize("side, rtol", [("across", 1e-4), ("oblique", 3e-4), ("along", 1e-2)])
+def test_a_strip_before_the_light_by_lamberts_formula(device, side, rtol):
+    drawn, expected = strip_pictures(device, side, 1024)
+    np.testing.assert_allclose(drawn, expected, rtol=rtol)
+
+
+@pytest.mark.parametrize("side", ["across", "oblique"])
+def test_square_errors_fall_like_the_cube_of_lines(one_device, side):
+    errors = [np.mean(np.square(np.subtract(*strip_pictures(one_device, side, n)))) for n in (16, 256)]
+    # With points it is n to -1.5.
+    assert errors[0] / errors[1] > 16**2.4
+
+
+def test_all_vector_widths_draw_the_same(one_device):
+    scene, found = soup(40, SEVERAL_LIGHTS), []
+    for width in (1, 4, 8, 16):
+        shaped = open_device(one_device.cl_device, one_device.index, width, 1)
+        points, source, _ = sampling(shaped, scene, DirectLight(), (12, 10), 64, lines=True)
+        found.append(batch_arrays(source.draw(range(points.active), range(64), 0), 3))
+    for other in found[1:]:
+        for name in "uv":
+            np.testing.assert_array_equal(other[name], found[0][name])
+        np.testing.assert_allclose(other["value"], found[0]["value"], rtol=2e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+def test_a_picture_by_lines_traces_no_shadow_ray(device, scenes, method):
+    options = {"spp": 32, "size": (24, 24), "device": device, **fitting(method, train_spp=4)}
+    scene = scenes / "cornell_box.toml"
+    image = render(scene, "direct", visibility="lines", **options)
+    again = render(scene, "direct", visibility="lines", **options)
+    points = render(scene, "direct", visibility="embree", **options)
+    assert image.stats["rays_traced"] == 0 < points.stats["rays_traced"]
+    assert image.stats["samples_off_lines"] == 0
+    np.testing.assert_array_equal(image.pixels, again.pixels)
+    assert 0 < np.abs(image.pixels - points.pixels).max() < 0.1
