@@ -1,0 +1,141 @@
+"""Ambient occlusion by slices against rays: error by number, and processor time to equal error.
+
+    python bench/bench_slices.py errors    mean square error by samples, and its exponent
+    python bench/bench_slices.py equal     processor seconds to the error of 1024 and 4096 Sobol rays
+    python bench/bench_slices.py build     seconds to build the boxes, beside embree's, by triangles
+
+Renders are timed by turns; of processor seconds the least count. The reference is made of 2048 slices,
+and is compared with 4096 rays before anything is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+from training import SCENES
+
+import ncv_cl as ncv
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.points.trace import Tracer
+from ncv_cl.visibility.slices import Slices
+
+NAMES = ("knot", "occluders")
+RAYS, SLICES = (64, 256, 1024), (16, 32, 64, 128)
+LADDER = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+
+
+class Case:
+    """Renders of one scene, and their errors.
+
+    Parameters
+    ----------
+    name : str
+        Of a shipped scene.
+    size : int
+        Pixels a side.
+    """
+
+    def __init__(self, name: str, size: int) -> None:
+        self._size = size
+        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
+        self._truth = self.render("lines", 2048, 991).pixels.astype(np.float64)
+        judge = self.render("embree", 4096, 992)
+        print(
+            f"{name}: 2048 slices and 4096 rays differ by {self.error(judge):.2e}; "
+            f"estimated {judge.stats['estimated_mse']:.2e}",
+            flush=True,
+        )
+
+    def render(self, visibility: str, spp: int, seed: int) -> ncv.Image:
+        options = {"method": "mc", "spp": spp, "seed": seed, "size": (self._size, self._size)}
+        return ncv.render(self._scene, "ao", visibility=visibility, **options)
+
+    def error(self, image: ncv.Image) -> float:
+        return float(np.mean((image.pixels - self._truth) ** 2))
+
+
+def errors(case: Case, rounds: int) -> None:
+    for visibility, numbers in (("embree", RAYS), ("lines", SLICES)):
+        found = [
+            np.mean([case.error(case.render(visibility, n, seed)) for seed in range(rounds)])
+            for n in numbers
+        ]
+        falls = -np.diff(np.log(found)) / np.diff(np.log(numbers))
+        row = " ".join(f"{n}: {e:.2e}" for n, e in zip(numbers, found, strict=True))
+        print(f"  {visibility:6} {row}  falls by {np.round(falls, 2)}", flush=True)
+
+
+def equal(case: Case, rounds: int) -> None:
+    for rays in (1024, 4096):
+        goal = case.error(case.render("embree", rays, 5))
+        for number in LADDER:
+            reached = case.error(case.render("lines", number, 5))
+            if reached <= goal:
+                break
+        least = dict.fromkeys(("embree", "lines"), np.inf)
+        for seed in range(rounds):
+            for visibility, spp in (("embree", rays), ("lines", number)):
+                started = time.process_time()
+                case.render(visibility, spp, seed)
+                least[visibility] = min(least[visibility], time.process_time() - started)
+        print(
+            f"  error of {rays} rays {goal:.2e}: {number} slices ({reached:.2e}); processor "
+            f"{least['embree']:.2f} / {least['lines']:.2f} = {least['embree'] / least['lines']:.2f}",
+            flush=True,
+        )
+
+
+def build(rounds: int) -> None:
+    device = choose_device(None)
+    scene = ncv.load_scene(SCENES / "occluders.toml")
+    for cuts in range(4):
+        least = dict.fromkeys((Slices, Tracer), np.inf)
+        for _ in range(rounds):
+            for kind, arguments in ((Slices, (device, scene)), (Tracer, (scene,))):
+                started = time.process_time()
+                kind(*arguments)
+                least[kind] = min(least[kind], time.process_time() - started)
+        print(
+            f"{len(scene.triangles)} triangles: boxes {least[Slices]:.3f} s, "
+            f"embree {least[Tracer]:.3f} s",
+            flush=True,
+        )
+        if cuts < 3:
+            scene = cut_in_four(scene)
+
+
+def cut_in_four(scene: ncv.Scene) -> ncv.Scene:
+    """Every triangle by the middles of its edges; no corner is shared."""
+    a, b, c = scene.vertices[scene.triangles].transpose(1, 0, 2)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    corners = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    indices = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+    return replace(
+        scene,
+        vertices=corners,
+        vertex_normals=np.zeros_like(corners),
+        triangles=indices,
+        triangle_material=np.repeat(scene.triangle_material, 4),
+        triangle_light=np.repeat(scene.triangle_light, 4),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=("errors", "equal", "build"))
+    parser.add_argument("--scenes", nargs="+", default=NAMES)
+    parser.add_argument("--size", type=int, default=96)
+    parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed runs of each")
+    options = parser.parse_args()
+    if options.part == "build":
+        build(options.rounds)
+        return
+    for name in options.scenes:
+        {"errors": errors, "equal": equal}[options.part](Case(name, options.size), options.rounds)
+
+
+if __name__ == "__main__":
+    main()
