@@ -2,6 +2,7 @@
 
     python bench/bench_slices.py errors    mean square error by samples, and its exponent
     python bench/bench_slices.py equal     processor seconds to the error of 1024 and 4096 Sobol rays
+    python bench/bench_slices.py constants processor time a slice, and slices refused, by the constants
     python bench/bench_slices.py build     seconds to build the boxes, beside embree's, by triangles
 
 Renders are timed by turns; of processor seconds the least count. The reference is made of 2048 slices,
@@ -18,12 +19,21 @@ import numpy as np
 from training import SCENES
 
 import ncv_cl as ncv
+from ncv_cl.host.clock import Stopwatch
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.points.trace import Tracer
+from ncv_cl.rendering.prepare import prepare
+from ncv_cl.settings.options import Sampling
+from ncv_cl.settings.settings import Settings
+from ncv_cl.visibility import hierarchy, slices
 from ncv_cl.visibility.slices import Slices
 
 NAMES = ("knot", "occluders")
 RAYS, SLICES = (64, 256, 1024), (16, 32, 64, 128)
+CONSTANTS = (
+    (slices, "MOST_BLOCKED", (4, 8, 16, 32)),
+    (hierarchy, "SAMPLED", (16, 64, 256)),
+)
 LADDER = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
@@ -88,6 +98,30 @@ def equal(case: Case, rounds: int) -> None:
         )
 
 
+def drawing(name: str, size: int, rounds: int) -> tuple[float, int]:
+    """Least processor nanoseconds of 64 slices a point, each, and how many of a draw were refused."""
+    scene, spp, least = ncv.load_scene(SCENES / f"{name}.toml"), 64, np.inf
+    settings = Settings(ncv.AmbientOcclusion(), "mc", spp, (size, size), 0, Sampling(visibility="lines"))
+    problem = prepare(choose_device(None), scene, settings, None, Stopwatch())
+    for _ in range(rounds):
+        problem.source.rays.off_lines = 0
+        started = time.process_time()
+        for part, samples in problem.source.parts(range(problem.points.active), range(spp)):
+            problem.source.draw(part, samples, 0)
+        least = min(least, time.process_time() - started)
+    return 1e9 * least / (spp * problem.points.active), problem.source.rays.off_lines
+
+
+def constants(size: int, rounds: int) -> None:
+    for module, constant, values in CONSTANTS:
+        chosen = getattr(module, constant)
+        for value in values:
+            setattr(module, constant, value)
+            row = [f"{name} %.0f ns, %d refused" % drawing(name, size, rounds) for name in NAMES]
+            print(f"{constant} {value}: {'; '.join(row)}", flush=True)
+        setattr(module, constant, chosen)
+
+
 def build(rounds: int) -> None:
     device = choose_device(None)
     scene = ncv.load_scene(SCENES / "occluders.toml")
@@ -125,13 +159,16 @@ def cut_in_four(scene: ncv.Scene) -> ncv.Scene:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=("errors", "equal", "build"))
+    parser.add_argument("part", choices=("errors", "equal", "constants", "build"))
     parser.add_argument("--scenes", nargs="+", default=NAMES)
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed runs of each")
     options = parser.parse_args()
     if options.part == "build":
         build(options.rounds)
+        return
+    if options.part == "constants":
+        constants(options.size, options.rounds)
         return
     for name in options.scenes:
         {"errors": errors, "equal": equal}[options.part](Case(name, options.size), options.rounds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -272,6 +272,21 @@ def test_in_a_corner(device, walls, expected):
     _, values = openness(device, mesh_scene(np.concatenate(planes[: walls + 1]), camera), spp=512)
     # The wall's top and its ends are 10^5 away; azimuths are equidistant.
     np.testing.assert_allclose(values, expected, atol=1 / 512 + 1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_unit_of_length_does_not_matter(device, scale):
+    def scaled(scale):
+        found = soup(40)
+        camera = replace(found.camera, position=found.camera.position * scale)
+        return replace(found, vertices=(found.vertices * np.float32(scale)), camera=camera)
+
+    for radius in (math.inf, 1.0):
+        pictures = [
+            openness(device, scaled(one), AmbientOcclusion(radius * one), 64)[1] for one in (1.0, scale)
+        ]
+        np.testing.assert_allclose(*pictures, atol=1e-3)
+        np.testing.assert_allclose(pictures[0].mean(), pictures[1].mean(), atol=1e-4)
 
 
 def test_square_errors_fall_like_the_cube_of_slices(one_device):

@@ -6,7 +6,8 @@ import numpy as np
 
 # Children of a box; a whole number of vectors on every device.
 BRANCH = 16
-# Triangles of a box that tell along which axis it is halved.
+# Triangles of a box that tell along which axis it is halved; of more, slices are no faster
+# (python bench/bench_slices.py constants).
 SAMPLED = 64
 # Bounds of what fills up a node: no plane crosses a box that is inside out.
 EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
