@@ -30,7 +30,7 @@ from ncv_cl.points.trace import Tracer
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import SEEN
 from ncv_cl.visibility import hierarchy, slices
-from ncv_cl.visibility.hierarchy import BRANCH, packed_order
+from ncv_cl.visibility.hierarchy import CHILDREN, packed_order
 from ncv_cl.visibility.slices import Slices
 
 CAMERA = camera_at([0, 3, 7], [0, 0, 0], 45)
@@ -356,11 +356,11 @@ def test_nodes_hold_what_their_children_hold(count):
     boxes = np.concatenate([lower[order], upper[order]], axis=1)
     for nodes in levels:
         own = nodes.transpose(0, 2, 1).reshape(-1, 6)
-        for k in range(-(-len(boxes) // BRANCH)):
-            children = boxes[k * BRANCH : (k + 1) * BRANCH]
+        for k in range(-(-len(boxes) // CHILDREN)):
+            children = boxes[k * CHILDREN : (k + 1) * CHILDREN]
             np.testing.assert_array_equal(own[k, :3], children[:, :3].min(axis=0))
             np.testing.assert_array_equal(own[k, 3:], children[:, 3:].max(axis=0))
-        assert (own[-(-len(boxes) // BRANCH) :, 0] > own[-(-len(boxes) // BRANCH) :, 3]).all()
+        assert (own[-(-len(boxes) // CHILDREN) :, 0] > own[-(-len(boxes) // CHILDREN) :, 3]).all()
         boxes = own
     assert len(levels[-1]) == 1
 
@@ -374,8 +374,8 @@ def test_the_order_keeps_near_triangles_together():
     def surface(rows):
         return hierarchy._surface(centres[rows], centres[rows]).sum()
 
-    packed = surface(order[: 20000 // BRANCH * BRANCH].reshape(-1, BRANCH))
-    sliced = surface(np.argsort(centres[:, 0])[: 20000 // BRANCH * BRANCH].reshape(-1, BRANCH))
+    packed = surface(order[: 20000 // CHILDREN * CHILDREN].reshape(-1, CHILDREN))
+    sliced = surface(np.argsort(centres[:, 0])[: 20000 // CHILDREN * CHILDREN].reshape(-1, CHILDREN))
     assert packed < 0.1 * sliced
 
 

@@ -117,7 +117,8 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                                           LOAD(sample_v + k * VEC), sample_value);
     if (ANY(refused)) {
       real at_u[CHANNELS];
-      evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), at_u, direction[k], &distance[k]);
+      evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), at_u, direction[k],
+                         &distance[k]);
       sample_value[0] = SELECT(sample_value[0], at_u[0], refused);
       atomic_add(ray_count + 2, popcount(lane_mask(refused)));
     }

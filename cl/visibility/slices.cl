@@ -17,11 +17,11 @@
  * the two points matter, so they are not divided by their weights. Boxes are entered if they reach the plane but for
  * PLANE_ROUNDING, more than rounding makes of it, so no box hides a triangle that is crossed.
  *
- * Walk. Boxes of boxes of BRANCH triangles, implicit: box k of a level holds numbers k * BRANCH and on of the level
+ * Walk. Boxes of boxes of CHILDREN triangles, implicit: box k of a level holds numbers k * CHILDREN and on of the level
  * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius.
  *
- * Memory layout: `boxes`: nodes of BRANCH boxes, six rows of BRANCH floats each: lower x, y, z, upper x, y, z;
- * node k of level l is number levels[l] + k. `triangles`: leaves of BRANCH triangles, nine rows: x, y, z of corner 0,
+ * Memory layout: `boxes`: nodes of CHILDREN boxes, six rows of CHILDREN floats each: lower x, y, z, upper x, y, z;
+ * node k of level l is number levels[l] + k. `triangles`: leaves of CHILDREN triangles, nine rows: x, y, z of corner 0,
  * then 1, then 2. Boxes and triangles that fill up a node are empty.
  *
  * Work-group contract: none; pure functions of private values and of the hierarchy, VEC boxes or triangles at a time.
@@ -127,30 +127,30 @@ void narrow_planes(Slice *slice) {
 /* How far VEC boxes reach beyond a plane. */
 real most_beyond(const SlicePlane *plane, global const float *restrict boxes) {
   const float3 n = plane->normal;
-  const real x = LOAD(boxes + (n.x >= 0.0f ? 3u : 0u) * BRANCH);
-  const real y = LOAD(boxes + (n.y >= 0.0f ? 4u : 1u) * BRANCH);
-  const real z = LOAD(boxes + (n.z >= 0.0f ? 5u : 2u) * BRANCH);
+  const real x = LOAD(boxes + (n.x >= 0.0f ? 3u : 0u) * CHILDREN);
+  const real y = LOAD(boxes + (n.y >= 0.0f ? 4u : 1u) * CHILDREN);
+  const real z = LOAD(boxes + (n.z >= 0.0f ? 5u : 2u) * CHILDREN);
   return FMA((real)n.x, x, FMA((real)n.y, y, FMA((real)n.z, z, (real)-plane->limit)));
 }
 
 /* How far VEC boxes are away along one axis. */
 real axis_distance(const float origin, global const float *restrict boxes) {
-  return max((real)0.0f, max(LOAD(boxes) - origin, origin - LOAD(boxes + 3 * BRANCH)));
+  return max((real)0.0f, max(LOAD(boxes) - origin, origin - LOAD(boxes + 3 * CHILDREN)));
 }
 
 /* Which boxes of a node can block some of what is free: a bit each. */
 uint boxes_in_slice(const Slice *slice, global const float *restrict node) {
   const SlicePlane reverse = {-slice->beside.normal, -slice->beside.limit};
   uint found = 0;
-  for (uint block = 0; block < BRANCH; block += VEC) {
+  for (uint block = 0; block < CHILDREN; block += VEC) {
     global const float *restrict boxes = node + block;
     const real across = min(most_beyond(&slice->beside, boxes), most_beyond(&reverse, boxes));
     const real within = min(most_beyond(&slice->above, boxes), most_beyond(&slice->below, boxes));
     whole enter = (min(across, within) >= -PLANE_ROUNDING);
     if (slice->radius < INFINITY) {
       const real x = axis_distance(slice->origin.x, boxes);
-      const real y = axis_distance(slice->origin.y, boxes + BRANCH);
-      const real z = axis_distance(slice->origin.z, boxes + 2 * BRANCH);
+      const real y = axis_distance(slice->origin.y, boxes + CHILDREN);
+      const real z = axis_distance(slice->origin.z, boxes + 2 * CHILDREN);
       enter = enter && (x * x + y * y + z * z <= slice->radius * slice->radius);
     }
     found |= lane_mask(enter) << block;
@@ -225,15 +225,15 @@ whole heights_of(const SliceCorner a, const SliceCorner b, real *lower, real *up
 
 /* Blocks what a leaf's triangles block; false if there is no room. */
 bool meet_triangles(Slice *slice, global const float *restrict leaf) {
-  for (uint block = 0; block < BRANCH; block += VEC) {
+  for (uint block = 0; block < CHILDREN; block += VEC) {
     real x[3], y[3], z[3];
     SliceCorner corner[3];
     whole positive[3];
 #pragma unroll
     for (uint c = 0; c < 3; ++c) {
-      x[c] = LOAD(leaf + (3 * c) * BRANCH + block) - slice->origin.x;
-      y[c] = LOAD(leaf + (3 * c + 1) * BRANCH + block) - slice->origin.y;
-      z[c] = LOAD(leaf + (3 * c + 2) * BRANCH + block) - slice->origin.z;
+      x[c] = LOAD(leaf + (3 * c) * CHILDREN + block) - slice->origin.x;
+      y[c] = LOAD(leaf + (3 * c + 1) * CHILDREN + block) - slice->origin.y;
+      z[c] = LOAD(leaf + (3 * c + 2) * CHILDREN + block) - slice->origin.z;
       corner[c].side = along(slice->beside.normal, x[c], y[c], z[c]);
       positive[c] = (corner[c].side >= 0.0f);
     }
@@ -282,17 +282,17 @@ bool walk_slice(Slice *slice, global const uint *restrict levels, global const f
   uint found[SLICE_LEVELS], node[SLICE_LEVELS];
   uint level = SLICE_LEVELS - 1;
   node[level] = 0;
-  found[level] = boxes_in_slice(slice, boxes + levels[level] * (ulong)(6 * BRANCH));
+  found[level] = boxes_in_slice(slice, boxes + levels[level] * (ulong)(6 * CHILDREN));
   while (true) {
     while (found[level] == 0) {
       if (++level == SLICE_LEVELS) return true;
     }
-    const uint child = node[level] * BRANCH + take_lowest(&found[level]);
+    const uint child = node[level] * CHILDREN + take_lowest(&found[level]);
     if (level > 0) {
       node[--level] = child;
-      found[level] = boxes_in_slice(slice, boxes + (levels[level] + child) * (ulong)(6 * BRANCH));
+      found[level] = boxes_in_slice(slice, boxes + (levels[level] + child) * (ulong)(6 * CHILDREN));
     } else {
-      if (!meet_triangles(slice, triangles + child * (ulong)(9 * BRANCH))) return false;
+      if (!meet_triangles(slice, triangles + child * (ulong)(9 * CHILDREN))) return false;
       if (all_blocked(slice)) return true;
     }
   }

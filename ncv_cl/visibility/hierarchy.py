@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 # Children of a box; a whole number of vectors on every device.
-BRANCH = 16
+CHILDREN = 16
 # Triangles of a box that tell along which axis it is halved; of more, slices are no faster
 # (python bench/bench_slices.py constants).
 SAMPLED = 64
@@ -14,11 +14,11 @@ EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
 
 
 def packed_order(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """An order of triangles of which every BRANCH, BRANCH², ... in a row lie close together.
+    """An order of triangles of which every CHILDREN, CHILDREN², ... in a row lie close together.
 
     Triangles are halved again and again by the middles of their boxes, along the axis that makes the
-    sum of surfaces least (the surface-area heuristic), at a multiple of the largest power of BRANCH that
-    both halves can hold. So every node but the last of a level is full, and needs no address.
+    sum of surfaces least (the surface-area heuristic), at a multiple of the largest power of CHILDREN
+    that both halves can hold. So every node but the last of a level is full, and needs no address.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def packed_order(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 def _arranged(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Each of `rows`, indices (sets, triangles of a set), in the order of `packed_order`."""
     size = rows.shape[1]
-    if size <= BRANCH:
+    if size <= CHILDREN:
         return rows
-    unit = BRANCH
-    while unit * BRANCH < size:
-        unit *= BRANCH
+    unit = CHILDREN
+    while unit * CHILDREN < size:
+        unit *= CHILDREN
     first = (-(-size // unit) + 1) // 2 * unit
     rows = _halved(rows, first, lower, upper, centres)
     if 2 * first == size:
@@ -82,7 +82,7 @@ def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
-    """Nodes of each level, float32 (nodes, 6, BRANCH) as slices.cl lays them out, lowest first.
+    """Nodes of each level, float32 (nodes, 6, CHILDREN) as slices.cl lays them out, lowest first.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
     """
     levels = []
     while not levels or len(levels[-1]) > 1:
-        starts = np.arange(0, len(lower), BRANCH)
+        starts = np.arange(0, len(lower), CHILDREN)
         lower, upper = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
         filled = [padded(lower, EMPTY_LOWER), padded(upper, EMPTY_UPPER)]
         levels.append(in_nodes(np.concatenate(filled, axis=1)))
@@ -100,10 +100,10 @@ def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
 
 def padded(rows: np.ndarray, value: float) -> np.ndarray:
     """`rows`, and more of `value` up to a whole number of nodes."""
-    missing = -len(rows) % BRANCH
+    missing = -len(rows) % CHILDREN
     return np.concatenate([rows, np.full((missing, rows.shape[1]), value, rows.dtype)])
 
 
 def in_nodes(rows: np.ndarray) -> np.ndarray:
-    """(nodes * BRANCH, numbers) as (nodes, numbers, BRANCH), contiguous."""
-    return np.ascontiguousarray(rows.reshape(-1, BRANCH, rows.shape[1]).transpose(0, 2, 1))
+    """(nodes * CHILDREN, numbers) as (nodes, numbers, CHILDREN), contiguous."""
+    return np.ascontiguousarray(rows.reshape(-1, CHILDREN, rows.shape[1]).transpose(0, 2, 1))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..opencl.device import Device, HostArray
 from ..scene.load import Scene
-from .hierarchy import BRANCH, box_levels, in_nodes, packed_order, padded
+from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
 
 # Intervals, apart from the lowest and the highest, that the union of what is blocked is kept in; slices
 # that need more are left to rays: in the shipped scenes a few in 100,000 at most. 8 would refuse one in
@@ -49,7 +49,7 @@ class Slices:
     def defines(self) -> dict[str, str]:
         """The `-D` constants of slices.cl, beside those of surface.cl."""
         return {
-            "BRANCH": f"{BRANCH}u",
+            "CHILDREN": f"{CHILDREN}u",
             "SLICE_LEVELS": f"{self._levels}u",
             "MOST_BLOCKED": f"{MOST_BLOCKED}u",
             "PLANE_ROUNDING": f"{PLANE_ROUNDING!r}f",
