@@ -25,14 +25,14 @@ from ncv_cl.points.trace import Tracer
 from ncv_cl.rendering.prepare import prepare
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
-from ncv_cl.visibility import hierarchy, slices
+from ncv_cl.visibility import tuning
 from ncv_cl.visibility.slices import Slices
 
 NAMES = ("knot", "occluders")
 RAYS, SLICES = (64, 256, 1024), (16, 32, 64, 128)
 CONSTANTS = (
-    (slices, "MOST_BLOCKED", (4, 8, 16, 32)),
-    (hierarchy, "SAMPLED", (16, 64, 256)),
+    ("MOST_BLOCKED", (4, 8, 16, 32)),
+    ("SAMPLED_TRIANGLES", (16, 64, 256)),
 )
 LADDER = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
@@ -113,13 +113,13 @@ def drawing(name: str, size: int, rounds: int) -> tuple[float, int]:
 
 
 def constants(size: int, rounds: int) -> None:
-    for module, constant, values in CONSTANTS:
-        chosen = getattr(module, constant)
+    for constant, values in CONSTANTS:
+        chosen = getattr(tuning, constant)
         for value in values:
-            setattr(module, constant, value)
+            setattr(tuning, constant, value)
             row = [f"{name} %.0f ns, %d refused" % drawing(name, size, rounds) for name in NAMES]
             print(f"{constant} {value}: {'; '.join(row)}", flush=True)
-        setattr(module, constant, chosen)
+        setattr(tuning, constant, chosen)
 
 
 def build(rounds: int) -> None:

@@ -82,6 +82,7 @@ GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
 LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
 PLAIN = {"method": "mc"}
 ON_LINES = {"method": "mc", "visibility": "lines"}
+OCCLUSION = (("occluders", "ao"), ("knot", "ao"))
 PILOT = {"method": "mc", "allocation": "pilot"}
 VARIANCE = Trial(size=64, spp=16, of_variance=True)
 # What is not seen in the trial that suits most.
@@ -94,7 +95,7 @@ TRIALS = {
     "MOST_TRAINING_SAMPLES": Trial(spp=2048),
     "HELD_OUT_SHARE": Trial(size=48, spp=256),
     "USE_COST": Trial(spp=512),
-    "RAY_COST": Trial((("occluders", "ao"), ("knot", "ao")), spp=256),
+    "RAY_COST": Trial(OCCLUSION, spp=256),
     "GAIN": Trial(spp=512),
     "UNDECIDED_SAMPLES": Trial(PATHS, spp=128),
     "FEWEST_STEPS": Trial(size=24, spp=256),
@@ -117,6 +118,8 @@ TRIALS = {
     "MOST_GAPS": Trial(LIGHTS, options=ON_LINES, spp=256),
     "LINE_BLOCKS": Trial(LIGHTS, options=ON_LINES, spp=256),
     "SORTED_FROM": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "MOST_BLOCKED": Trial(OCCLUSION, options=ON_LINES),
+    "SAMPLED_TRIANGLES": Trial(OCCLUSION, options=ON_LINES),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
     "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": Trial(PATHS),

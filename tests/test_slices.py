@@ -29,7 +29,7 @@ from ncv_cl.points.points import surface_defines
 from ncv_cl.points.trace import Tracer
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import SEEN
-from ncv_cl.visibility import hierarchy, slices
+from ncv_cl.visibility import hierarchy, tuning
 from ncv_cl.visibility.hierarchy import CHILDREN, packed_order
 from ncv_cl.visibility.slices import Slices
 
@@ -104,7 +104,7 @@ def compared(device, scene, size=(12, 10), turns=32, heights=16, radius=math.inf
         "intervals",
     )  # fmt: skip
     room = HostArray(device, shape, np.int32)
-    blocked = HostArray(device, (*shape, slices.MOST_BLOCKED + 2, 2), np.float32)
+    blocked = HostArray(device, (*shape, tuning.MOST_BLOCKED + 2, 2), np.float32)
     kernel(
         turn.size, point_count=points.active, total_points=points.total, turn_count=turns, radius=radius,
         surface=points.surface, turns=HostArray.of(device, turn), **boxes.arguments, room=room,

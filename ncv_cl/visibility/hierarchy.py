@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import tuning
+
 # Children of a box; a whole number of vectors on every device.
 CHILDREN = 16
-# Triangles of a box that tell along which axis it is halved; of more, slices are no faster
-# (python bench/bench_slices.py constants).
-SAMPLED = 64
 # Bounds of what fills up a node: no plane crosses a box that is inside out.
 EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
 
@@ -58,7 +57,7 @@ def _halved(
 
     Which axis is best some of a row's triangles tell; not all need be looked at.
     """
-    some = rows[:, :: max(1, rows.shape[1] // SAMPLED)]
+    some = rows[:, :: max(1, rows.shape[1] // tuning.SAMPLED_TRIANGLES)]
     share = min(max(round(first / rows.shape[1] * some.shape[1]), 1), some.shape[1] - 1)
     costs = []
     for axis in range(3):

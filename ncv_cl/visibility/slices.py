@@ -6,12 +6,9 @@ import numpy as np
 
 from ..opencl.device import Device, HostArray
 from ..scene.load import Scene
+from . import tuning
 from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
 
-# Intervals, apart from the lowest and the highest, that the union of what is blocked is kept in; slices
-# that need more are left to rays: in the shipped scenes a few in 100,000 at most. 8 would refuse one in
-# 1000, and room costs no time (python bench/bench_slices.py constants).
-MOST_BLOCKED = 16
 # What rounding may move a box from a plane by, of the largest coordinate: six roundings of sums of up to
 # 2 * 3^0.5.
 PLANE_ROUNDING = 24 * 2.0**-24
@@ -51,6 +48,6 @@ class Slices:
         return {
             "CHILDREN": f"{CHILDREN}u",
             "SLICE_LEVELS": f"{self._levels}u",
-            "MOST_BLOCKED": f"{MOST_BLOCKED}u",
+            "MOST_BLOCKED": f"{tuning.MOST_BLOCKED}u",
             "PLANE_ROUNDING": f"{PLANE_ROUNDING!r}f",
         }
