@@ -50,6 +50,8 @@ class Integrand:
     """Whether points on area lights have an integral of their own."""
     to_lights: ClassVar[bool] = False
     """Whether every ray ends on an area light, and ``data`` begins with the lights' records."""
+    along_lines: ClassVar[bool] = False
+    """Whether lines of constant u lie straight on one light each, as lights.cl places them."""
     nested: ClassVar[bool] = False
     """Whether f is itself estimated, by paths (`paths.PathSource`)."""
 

@@ -12,7 +12,7 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.lines import most_on_lines
+from ..visibility.lines import lines_pay, most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 
 
@@ -45,13 +45,8 @@ def prepare(
             integrand.emitters_active,
         )
         points = _without_dark(scene, settings, points)
-    occluders = None
-    lines = settings.sampling.visibility == "lines"
-    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
-    if integrand.to_lights and looked_for and points.active:
-        with watch("shafts"):
-            most = most_on_lines(device) if lines else MOST_OCCLUDERS
-            occluders = Occluders(device, scene, points, integrand, most)
+    with watch("shafts"):
+        occluders, lines = _occluders(device, scene, settings, points)
     source = sample_source(
         device,
         scene,
@@ -77,6 +72,20 @@ def prepare(
         integrand.demodulated,
         narrowest=narrowest,
     )
+
+
+def _occluders(
+    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[Occluders | None, bool]:
+    """What stands between the points and the lights, if that pays; and whether to sample along lines."""
+    integrand, visibility = settings.integrand, settings.sampling.visibility
+    if visibility == "embree" or not (integrand.to_lights and points.active and shafts_pay(scene)):
+        return None, False
+    if integrand.along_lines and visibility in ("auto", "lines"):
+        occluders = Occluders(device, scene, points, integrand, most_on_lines(device))
+        if visibility == "lines" or lines_pay(occluders.unknown, points.active):
+            return occluders, True
+    return Occluders(device, scene, points, integrand, MOST_OCCLUDERS), False
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

@@ -51,6 +51,11 @@ class Settings:
             )
         seed_words(self.seed)
         self._check_method()
+        if self.sampling.visibility == "lines" and not self.integrand.along_lines:
+            raise ValueError(
+                f"visibility 'lines' is for integrand direct: {self.integrand.name} has no lines on "
+                "lights; take 'auto'"
+            )
 
     def _check_method(self) -> None:
         """Raise for options that have no effect with this method."""
