@@ -138,20 +138,6 @@ def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
     assert first["rays_on_device"] + first["rays_traced"] == second["rays_traced"]
 
 
-def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path):
-    text = (scenes / "interior.toml").read_text(encoding="utf-8")
-    lamp = "[[lights]]\ncorner = [{}, 2.5, 0]\nedge1 = [0.1, 0, 0]\nedge2 = [0, 0, 0.1]\nradiance = 1\n"
-    path = tmp_path / "lights.toml"
-    for lamps in (MOST_LIGHTS, MOST_LIGHTS + 1):
-        more = "".join(lamp.format(0.2 * k - 1) for k in range(lamps - 2))
-        path.write_text(text + more, encoding="utf-8")
-        options = {"spp": 8, "size": (16, 16), "device": one_device}
-        image = render(path, "direct", "mc", **options)
-        assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
-        traced = render(path, "direct", "mc", visibility="embree", **options)
-        np.testing.assert_array_equal(image.pixels, traced.pixels)
-
-
 @pytest.mark.parametrize("words", [2, 40, 300])
 def test_lists_are_shorter_where_memory_is_short(device, monkeypatch, words):
     scene = soup(40)
@@ -167,9 +153,20 @@ def test_lists_are_shorter_where_memory_is_short(device, monkeypatch, words):
     # The next longer ones would not have fitted.
     monkeypatch.undo()
     full = sampling(device, scene, DirectLight(), (12, 10), 64, with_occluders=True)[1].occluders
-    longer = [full.list_of(point) for point in range(len(lists)) if lists[point] is None]
-    shortest = min(len(one) for one in longer)
-    assert (
-        shortest > lengths.max()
-        and used + (shortest + 1) * sum(len(one) == shortest for one in longer) > words
-    )
+    longer = [len(full.list_of(point)) for point in range(len(lists)) if lists[point] is None]
+    assert min(longer) > lengths.max(initial=0)
+    assert used + (min(longer) + 1) * longer.count(min(longer)) > words
+
+
+def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path):
+    text = (scenes / "interior.toml").read_text(encoding="utf-8")
+    lamp = "[[lights]]\ncorner = [{}, 2.5, 0]\nedge1 = [0.1, 0, 0]\nedge2 = [0, 0, 0.1]\nradiance = 1\n"
+    path = tmp_path / "lights.toml"
+    for lamps in (MOST_LIGHTS, MOST_LIGHTS + 1):
+        more = "".join(lamp.format(0.2 * k - 1) for k in range(lamps - 2))
+        path.write_text(text + more, encoding="utf-8")
+        options = {"spp": 8, "size": (16, 16), "device": one_device}
+        image = render(path, "direct", "mc", **options)
+        assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
+        traced = render(path, "direct", "mc", visibility="embree", **options)
+        np.testing.assert_array_equal(image.pixels, traced.pixels)

@@ -172,16 +172,16 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const whole here = LANE_NUMBER + first < (bits)count;
-  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, HIT) + first)), here);
+  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here);
   const whole at = max(triangle, (whole)0) * TRIANGLE_FLOATS;
-  const triple origin = load_planes(wave, NEXT_RAY, plane, first);
-  const triple direction = load_planes(wave, NEXT_RAY + 3, plane, first);
+  const triple origin = load_planes(wave, WAVE_ORIGIN, plane, first);
+  const triple direction = load_planes(wave, WAVE_DIRECTION, plane, first);
   const triple outgoing = {-direction.x, -direction.y, -direction.z};
-  const real distance = LOAD(PLANE(wave, HIT + 3) + first);
+  const real distance = LOAD(PLANE(wave, WAVE_DISTANCE) + first);
   Ray ray;
-  ray.throughput = load_planes(wave, NEXT_STATE, plane, first);
+  ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
   /* Lanes past the last ray may read a path number of an earlier, larger batch. */
-  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, NEXT_STATE + 4) + first)), here);
+  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
   const whole met = triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
@@ -189,10 +189,10 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
-    const real density = LOAD(PLANE(wave, NEXT_STATE + 3) + first);
+    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
 #if LIGHT_COUNT > 1
     /* Lanes past the last ray hold anything. */
-    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, NEXT_STATE + 5) + first)), on_light);
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
 #else
     const whole left = all_strips(lights);
 #endif
@@ -202,8 +202,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, HIT + 1) + first),
-           LOAD(PLANE(wave, HIT + 2) + first), outgoing, &position, &geometric_normal, &s);
+  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
+           LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
 #if HAS_EMISSION
   const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
@@ -333,9 +333,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 kernel void add_lit(const uint count, const uint plane, global const float *restrict wave,
                     global float *restrict radiance) {
   const uint ray = (uint)get_global_id(0);
-  if (ray >= count || ((global const uchar *)PLANE(wave, LIT))[ray] == 0) return;
-  global float *sum = radiance + as_uint(PLANE(wave, SHADOW_STATE + 3)[ray]) * (ulong)RADIANCE_FLOATS;
-  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, SHADOW_STATE + channel)[ray];
+  if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
+  global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
+  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
 }
 
 /* `most` caps what a path brings, by its largest channel. */

@@ -1,11 +1,8 @@
 /* A wave: what the rays of one bounce of all paths are made of, and what they found.
  *
- * Memory layout: HEADER words, then planes of 32-bit words, ray i at i of each:
- *   0 origin (3), 3 direction (3) of the rays that go on, 6 origin (3), 9 direction (3) of shadow rays, as the host
- *   reads them; 12 triangle hit (int, -1: none), 13 and 14 barycentric u and v, 15 distance in multiples of the
- *   direction, 16 whether the shadow ray reached its light (bytes), as the host writes them; 17 throughput (3),
- *   20 density of the direction (0: light that this ray hits was sampled otherwise), 21 path, 22 the row of strips of
- *   the surface it left, where there are several lights; 23 throughput (3) and 26 path of shadow rays.
+ * Memory layout: HEADER words, then planes of 32-bit words, ray i at i of each: those of PLANES in wave.py, which says
+ * what they hold. Triangles, paths and strips are whole numbers, `lit` has bytes; strips are kept where there are
+ * several lights.
  * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
  * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs.
  *
@@ -23,13 +20,6 @@
 #define AS_BITS(x) JOIN(as_uint, VEC)(x)
 #endif
 
-/* Rays that go on and shadow rays: their first planes, and how many planes `append_ray` writes. */
-#define NEXT_RAY 0
-#define NEXT_STATE 17
-#define SHADOW_RAY 6
-#define SHADOW_STATE 23
-#define HIT 12
-#define LIT 16
 /* Numbers of a ray that goes on. */
 #define ROWS_OF_RAY (LIGHT_COUNT > 1 ? 12 : 11)
 #define PLANE(wave, number) ((wave) + HEADER + (number) * (ulong)plane)
@@ -58,8 +48,11 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
   if (count == 0) return;
   volatile global uint *ray_count = (volatile global uint *)wave + (is_shadow ? COUNT_STEP : 0);
   const uint at = atomic_add(ray_count, count);
-  global float *restrict to = PLANE(wave, is_shadow ? SHADOW_RAY : NEXT_RAY) + at;
-  global float *restrict state = PLANE(wave, is_shadow ? SHADOW_STATE : NEXT_STATE) + at;
+  /* Origin and direction. */
+  global float *restrict to = PLANE(wave, is_shadow ? WAVE_SHADOW_ORIGIN : WAVE_ORIGIN) + at;
+  global float *restrict throughput = PLANE(wave, is_shadow ? WAVE_SHADOW_THROUGHPUT : WAVE_THROUGHPUT) + at;
+  global float *restrict path = PLANE(wave, is_shadow ? WAVE_SHADOW_PATH : WAVE_PATH) + at;
+  global float *restrict density = PLANE(wave, WAVE_DENSITY) + at;
   const real numbers[ROWS_OF_RAY] = {ray->origin.x,     ray->origin.y,     ray->origin.z,     ray->direction.x,
                                      ray->direction.y,  ray->direction.z,  ray->throughput.x, ray->throughput.y,
                                      ray->throughput.z, ray->density,      AS_REAL(ray->path)
@@ -71,11 +64,11 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
 #pragma unroll
     for (uint row = 0; row < 6; ++row) STORE(numbers[row], to + row * (ulong)plane);
 #pragma unroll
-    for (uint row = 0; row < 3; ++row) STORE(numbers[6 + row], state + row * (ulong)plane);
-    if (!is_shadow) STORE(numbers[9], state + 3 * (ulong)plane);
-    STORE(numbers[10], state + (is_shadow ? 3 : 4) * (ulong)plane);
+    for (uint row = 0; row < 3; ++row) STORE(numbers[6 + row], throughput + row * (ulong)plane);
+    if (!is_shadow) STORE(numbers[9], density);
+    STORE(numbers[10], path);
 #if LIGHT_COUNT > 1
-    if (!is_shadow) STORE(numbers[11], state + 5 * (ulong)plane);
+    if (!is_shadow) STORE(numbers[11], PLANE(wave, WAVE_STRIPS) + at);
 #endif
     return;
   }
@@ -86,11 +79,11 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
 #pragma unroll
     for (uint row = 0; row < 6; ++row) to[row * (ulong)plane + i] = number[row][lane];
 #pragma unroll
-    for (uint row = 0; row < 3; ++row) state[row * (ulong)plane + i] = number[6 + row][lane];
-    if (!is_shadow) state[3 * (ulong)plane + i] = number[9][lane];
-    state[(is_shadow ? 3 : 4) * (ulong)plane + i] = number[10][lane];
+    for (uint row = 0; row < 3; ++row) throughput[row * (ulong)plane + i] = number[6 + row][lane];
+    if (!is_shadow) density[i] = number[9][lane];
+    path[i] = number[10][lane];
 #if LIGHT_COUNT > 1
-    if (!is_shadow) state[5 * (ulong)plane + i] = number[11][lane];
+    if (!is_shadow) (PLANE(wave, WAVE_STRIPS) + at)[i] = number[11][lane];
 #endif
   }
 }

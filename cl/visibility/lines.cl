@@ -88,14 +88,14 @@ float max_lanes(const real x) {
 LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, const int light) {
   global const float *restrict record = lights + light * LIGHT_FLOATS;
   LightLines lines;
-  const float3 begin = vload3(0, record) - p->position;
-  const float3 edge1 = vload3(1, record);
-  const float3 edge2 = vload3(2, record);
-  const float3 normal = vload3(3, record);
-  lines.along = vload3(0, record + 20);
-  lines.across = vload3(0, record + 23);
+  const float3 begin = vload3(0, record + LIGHT_CORNER) - p->position;
+  const float3 edge1 = vload3(0, record + LIGHT_EDGE1);
+  const float3 edge2 = vload3(0, record + LIGHT_EDGE2);
+  const float3 normal = vload3(0, record + LIGHT_NORMAL);
+  lines.along = vload3(0, record + LIGHT_ALONG);
+  lines.across = vload3(0, record + LIGHT_ACROSS);
   const triple middle = to_triple(begin + 0.5f * (edge1 + edge2));
-  lines.large = ANY(dot_triple(middle, middle) < record[29]);
+  lines.large = ANY(dot_triple(middle, middle) < record[LIGHT_LARGE]);
   lines.view = light_view(lights, (whole)(light * LIGHT_FLOATS), to_triple(begin), to_triple(normal),
                           to_triple(lines.across), to_triple(lines.along));
   const float height = dot(begin, normal);
@@ -105,8 +105,8 @@ LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, 
   lines.distance = dot(lines.base, lines.normal);
   const float x0 = dot(begin, lines.across);
   const float y0 = dot(begin, lines.along);
-  lines.largest_x = fmax(fabs(x0), fabs(x0 + record[27]));
-  lines.largest_y = fabs(y0) + record[26] + fabs(record[27] * record[28]);
+  lines.largest_x = fmax(fabs(x0), fabs(x0 + record[LIGHT_WIDTH]));
+  lines.largest_y = fabs(y0) + record[LIGHT_LENGTH] + fabs(record[LIGHT_WIDTH] * record[LIGHT_SLOPE]);
   const float3 normals[2] = {p->normal, p->geometric_normal};
   for (int k = 0; k < 2; ++k) {
     const triple n = to_triple(normals[k]);

@@ -12,7 +12,7 @@ from ..opencl.device import Device, HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
-from ..points.trace import Hits, Tracer
+from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
@@ -21,13 +21,10 @@ from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
 from .triangles import triangle_records
 from .warp import Warp, warp_defines
+from .wave import Wave, wave_defines
 
 # A depth that no path reaches.
 EVERY_DEPTH = 1 << 30
-# Words before the planes of a wave, and between the two counts there: a cache line each.
-HEADER, COUNT_STEP = 32, 16
-# Planes of a wave, and of them those that the host reads and writes; wave.cl has the list.
-PLANES, HOST_PLANES = 27, 17
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
 RADIANCE_FLOATS = 4
 
@@ -47,67 +44,6 @@ def sample_source(
         arguments = (device, scene, tracer, points, integrand, *rest)
         return PathSource(*arguments, shadows_tested=shadows_tested)
     return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines)
-
-
-class _Wave:
-    """Memory for the rays of one bounce and their hits, as wave.cl lays it out.
-
-    Parameters
-    ----------
-    device
-    capacity : int
-        Most rays of each kind.
-    shadows_tested : bool
-        Whether shadow rays are but counted, as kernels answer them.
-
-    Attributes
-    ----------
-    words : HostArray
-        float32; some planes hold integers.
-    plane : int
-        Elements of a plane.
-    rays, shadows, tested : int
-        Numbers of path rays, of shadow rays, and of shadow rays that kernels have answered.
-    """
-
-    def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
-        self._width = device.vector_width
-        self._shadows_tested = shadows_tested
-        self.words = HostArray(device, HEADER + PLANES * self._plane_of(capacity), np.float32)
-        self.words.fill(0)
-        self.plane = self.rays = self.shadows = self.tested = 0
-
-    def make_room(self, count: int) -> None:
-        """For at most `count` rays of each kind."""
-        self.plane = self._plane_of(count)
-
-    def _plane_of(self, count: int) -> int:
-        # Whole vectors; and one line more than what may be a power of two, or all planes would share a
-        # few sets of the cache.
-        return -(-count // self._width) * self._width + COUNT_STEP
-
-    def trace(self, tracer: Tracer) -> float:
-        """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
-        with self.words.mapped(count=HEADER + HOST_PLANES * self.plane, update=True) as words:
-            started = time.perf_counter()
-            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
-            self.rays, self.shadows = counts.tolist()
-            counts[:] = 0
-            if self._shadows_tested:
-                self.tested, self.shadows = self.shadows, 0
-            planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
-            rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
-            tracer.closest_and_visible(
-                rays[:3].T, rays[3:6].T, Hits(rays[12].view(np.int32), *rays[13:16]),
-                shadows[6:9].T, shadows[9:12].T, planes[16].view(np.uint8)[: self.shadows],
-            )  # fmt: skip
-            return time.perf_counter() - started
-
-    def under_way(self) -> tuple[np.ndarray, np.ndarray]:
-        """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
-        with self.words.mapped() as words:
-            planes = words[HEADER : HEADER + PLANES * self.plane].reshape(PLANES, self.plane)
-            return planes[21, : self.rays].copy().view(np.uint32), planes[17:20, : self.rays].copy()
 
 
 class PathSource(SampleSource):
@@ -152,8 +88,7 @@ class PathSource(SampleSource):
             **sampler_defines(sampler),
             **integrand.defines(scene),
             **defines,
-            "HEADER": f"{HEADER}u",
-            "COUNT_STEP": f"{COUNT_STEP}u",
+            **wave_defines(),
             "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
             "MOST_SURVIVE": f"{tuning.MOST_SURVIVE!r}f",
             **shadow_defines(len(scene.triangles) if few else 0),
@@ -163,7 +98,7 @@ class PathSource(SampleSource):
         }
         self._choose_program()
         capacity = self._capacity
-        self._wave, self._next = (_Wave(device, capacity, few) for _ in range(2))
+        self._wave, self._next = (Wave(device, capacity, few) for _ in range(2))
         self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
         self._place = _zeros(device, capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
