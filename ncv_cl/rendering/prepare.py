@@ -45,8 +45,11 @@ def prepare(
             integrand.emitters_active,
         )
         points = _without_dark(scene, settings, points)
-    with watch("shafts"):
-        occluders, lines = _occluders(device, scene, settings, points)
+    occluders, lines = None, False
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
+    if integrand.to_lights and looked_for and points.active:
+        with watch("shafts"):
+            occluders, lines = _occluders(device, scene, settings, points)
     source = sample_source(
         device,
         scene,
@@ -76,11 +79,9 @@ def prepare(
 
 def _occluders(
     device: Device, scene: Scene, settings: Settings, points: ShadingPoints
-) -> tuple[Occluders | None, bool]:
-    """What stands between the points and the lights, if that pays; and whether to sample along lines."""
+) -> tuple[Occluders, bool]:
+    """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
-    if visibility == "embree" or not (integrand.to_lights and points.active and shafts_pay(scene)):
-        return None, False
     if integrand.along_lines and visibility in ("auto", "lines"):
         occluders = Occluders(device, scene, points, integrand, most_on_lines(device))
         if visibility == "lines" or lines_pay(occluders.unknown, points.active):
