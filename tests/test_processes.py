@@ -98,7 +98,7 @@ import os
 import numpy as np
 before = picture()
 device = ncv.choose_device()
-held = ncv.opencl.device.HostArray.of(device, np.zeros(3))
+held = ncv.opencl.memory.HostArray.of(device, np.zeros(3))
 child = os.fork()
 if child == 0:
     calls = (picture, held.read, ncv.devices, lambda: device.context, lambda: ncv.choose_device(device))

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import Device, HostArray, widest_vectors
+from ..opencl.device import Device, widest_vectors
+from ..opencl.memory import HostArray
 from ..opencl.program import device_defines
 from .arrangement import robust_shape_constants, shape_constants
 from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
