@@ -14,6 +14,7 @@ from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.lines import lines_pay, most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
+from ..visibility.tuning import MOST_LIGHTS
 
 
 def prepare(
@@ -33,6 +34,11 @@ def prepare(
         Gets the seconds of stages "scene", "points" and "shafts".
     """
     integrand = settings.integrand
+    if settings.sampling.visibility == "lines" and not shafts_pay(scene):
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
+            f"{len(scene.lights)}; take 'auto'"
+        )
     with watch("scene"):
         tracer = Tracer(scene, threads)
     with watch("points"):
