@@ -27,7 +27,8 @@ import ncv_cl as ncv
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
-from ncv_cl.opencl.device import GPU_LANES, Device, HostArray, open_device, widest_vectors
+from ncv_cl.opencl.device import GPU_LANES, Device, open_device, widest_vectors
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import build
 from ncv_cl.output.report import package_version
 from ncv_cl.settings.presets import PRESETS

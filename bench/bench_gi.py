@@ -32,7 +32,7 @@ import ncv_cl as ncv
 from ncv_cl.host.clock import Run
 from ncv_cl.integrands import GlobalIllumination
 from ncv_cl.learning.learn import learn
-from ncv_cl.network.network import FoldedNetwork
+from ncv_cl.network.fold import FoldedNetwork
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 from ncv_cl.points.points import find_points

@@ -25,7 +25,7 @@ from rational import hard_networks, point_network, relative_errors
 from torture import LIMIT, torture
 
 from ncv_cl.integration.integrate import integrate
-from ncv_cl.integration.integrator import METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
@@ -36,12 +36,12 @@ def stress_table(device: Device) -> list[dict]:
     precisions = [p for p in LIMIT if p == "float32" or device.has_float64]
     print(
         f"{'network':24}"
-        + "".join(f"{p[5:] + ' ' + m:>16}{'robust':>8}" for p in precisions for m in METHODS)
+        + "".join(f"{p[5:] + ' ' + m:>16}{'robust':>8}" for p in precisions for m in INTEGRATION_METHODS)
     )
     for name, network in hard_networks().items():
         row: dict = {"network": name}
         for precision in precisions:
-            for method in METHODS:
+            for method in INTEGRATION_METHODS:
                 values, statistics = integrate(
                     *network, method=method, precision=precision, device=device, return_stats=True
                 )
@@ -72,7 +72,7 @@ def plot(results: dict, path: Path) -> None:
     for axis, kind in zip(axes[1], ("width", "depth", "points"), strict=True):
         chosen = [row for row in results["scaling"] if row["case"].startswith(kind)]
         numbers = [int(row["case"].split()[1]) for row in chosen]
-        for method in METHODS:
+        for method in INTEGRATION_METHODS:
             axis.loglog(numbers, [row[method][0] for row in chosen], marker="o", label=method)
         axis.set(xlabel=kind, ylabel="µs a point")
         if kind != "points":

@@ -3,7 +3,8 @@
 Variances are those of independent samples, means over points and channels: nothing is seen in them but
 how the unit square is dealt out to the lights; `--equal` tries other parts that all share alike. Times
 are processor seconds of a render with many samples less one with a single one, the least of three, on
-one thread, all rays traced; compare them within one run only.
+one thread, all rays traced; compare them within one run only. `--mitsuba` puts the halls' direct light
+beside that of Mitsuba 3: variances of independent samples, and both renderers' wall clock, all in.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from mitsuba_scene import MitsubaScene, import_mitsuba
 from training import SCENES
 
 import ncv_cl as ncv
@@ -85,16 +87,55 @@ def measure(device: Device, scene: Scene, integrand: str, side: int, spp: int) -
     }
 
 
+def beside_mitsuba(
+    device: Device, scene: Scene, side: int, spp: int, seeds: int = 4
+) -> dict[str, float]:
+    """Both renderers' variance a sample over the squared mean, and their seconds; two images a seed."""
+    theirs = MitsubaScene(import_mitsuba(), scene)
+    way = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0, "hide_emitters": True}
+    integrator = theirs.mitsuba.load_dict(way)
+    sensor = theirs.sensor((side, side), "independent", spp)
+
+    def ours(seed: int) -> np.ndarray:
+        options = {"spp": spp, "size": (side, side), "seed": seed, "sampler": "independent"}
+        return ncv.render(scene, "direct", "mc", device=device, **options).pixels
+
+    def of_mitsuba(seed: int) -> np.ndarray:
+        image = theirs.mitsuba.render(
+            theirs.scene, sensor=sensor, integrator=integrator, spp=spp, seed=seed
+        )
+        return np.array(image)[..., :3]
+
+    found = {}
+    for name, render in (("ours", ours), ("Mitsuba", of_mitsuba)):
+        render(99)
+        began = time.perf_counter()
+        images = np.array([render(seed) for seed in range(2 * seeds)], np.float64)
+        found[f"{name}, seconds"] = (time.perf_counter() - began) / (2 * seeds)
+        halves = images[::2] - images[1::2]
+        found[f"{name}, mean"] = images.mean()
+        found[f"{name}, variance"] = 0.5 * np.mean(halves**2) * spp / images.mean() ** 2
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images, few samples and lamps")
     parser.add_argument("--equal", type=float, nargs="+", help="parts that all lights share alike")
+    parser.add_argument("--mitsuba", action="store_true", help="halls only, beside Mitsuba 3")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
     options = parser.parse_args()
     device = choose_device(options.device)
     side, spp, most = (24, 32, 100) if options.quick else (64, 256, 1000)
     print(f"{device.identity}\n{side} x {side} pixels, {spp} samples")
     with tempfile.TemporaryDirectory() as folder:
+        if options.mitsuba:
+            for lamps in (one for one in LAMPS if one <= most):
+                row = beside_mitsuba(device, hall(lamps, folder), side, spp)
+                print(
+                    f"{lamps:4} lights: " + ", ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True
+                )
+            return
         for part in options.equal or (tuning.EQUAL_PART,):
             tuning.EQUAL_PART = part
             scenes = [ncv.load_scene(SCENES / f"{name}.toml") for name in SHIPPED]

@@ -21,7 +21,8 @@ from training import TrainingCase
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import WEIGHT_GROUPS, NetworkDescription
 from ncv_cl.opencl.choose import choose_device
-from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import build
 from ncv_cl.settings.presets import PRESETS
 

@@ -18,9 +18,11 @@ from rational import Network, random_network, trained_network
 
 from ncv_cl.integration.integrator import Integrator, Statistics
 from ncv_cl.network.encode import Encoding
-from ncv_cl.network.network import FoldedNetwork, NetworkDescription
+from ncv_cl.network.fold import FoldedNetwork
 from ncv_cl.network.network import Network as TrainedNetwork
-from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.network.network import NetworkDescription
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import build
 from ncv_cl.rendering.render import render
 

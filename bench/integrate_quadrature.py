@@ -7,7 +7,7 @@ from integrate_networks import MODULATED, Case, Inference, disc_networks, median
 from scipy.stats import qmc
 
 from ncv_cl.integration.integrate import integrate
-from ncv_cl.integration.integrator import METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 from ncv_cl.opencl.device import Device
 
 Row = tuple[str, int, float, float]
@@ -29,7 +29,7 @@ def quadrature_table(device: Device, quick: bool) -> dict[str, list[Row]]:
         size = np.sqrt((truth**2).mean())
         print(f"\n{name}: relative error, us a point")
         rows: list[Row] = []
-        for method in METHODS:
+        for method in INTEGRATION_METHODS:
             seconds, _ = case.seconds(method, 9)
             error = float(np.sqrt(((case.out.read() - truth) ** 2).mean()) / size)
             rows.append((method, 0, error, seconds / case.points * 1e6))

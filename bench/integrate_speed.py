@@ -19,7 +19,7 @@ from integrate_networks import (
     some_points,
 )
 
-from ncv_cl.integration.integrator import METHODS, Integrator
+from ncv_cl.integration.integrator import INTEGRATION_METHODS, Integrator
 from ncv_cl.opencl.device import Device
 
 # Points and samples of one timing of inference.
@@ -67,7 +67,7 @@ def speed_table(device: Device, quick: bool) -> list[dict]:
 def speed_row(device: Device, network: tuple) -> dict:
     """One line of `speed_table`."""
     case = Case(device, network)
-    decoupled, full = (case.integrator(method) for method in METHODS)
+    decoupled, full = (case.integrator(method) for method in INTEGRATION_METHODS)
     statistics = decoupled()
     some = Case(device, some_points(network, INFERENCE_POINTS))
     samples = np.random.default_rng(0).uniform(size=(INFERENCE_SAMPLES, 2))
@@ -105,7 +105,7 @@ def scaling_table(device: Device, quick: bool) -> list[dict]:
         layers = len(shape) - 1
         case = Case(device, networks(shape, points, ((True,) * layers, (True,) * layers), 6))
         row: dict = {"case": name}
-        for method in METHODS:
+        for method in INTEGRATION_METHODS:
             seconds, statistics = case.seconds(method, 3)
             row[method] = seconds / points * 1e6, statistics.faces / points
         rows.append(row)
@@ -144,7 +144,7 @@ def memory_table(device: Device, quick: bool) -> list[dict]:
     # The largest that a run can need: the shape alone says how large tables and arrangements are.
     largest = () if quick else ((2, 128, 128, 3), (2, 128, 128, 128, 128, 3))
     for widths in ((2, 32, 32, 3), *largest):
-        scratch = {m: Integrator(device, widths, method=m).scratch_bytes for m in METHODS}
+        scratch = {m: Integrator(device, widths, method=m).scratch_bytes for m in INTEGRATION_METHODS}
         rows.append({"widths": widths, **scratch})
         print(f"{'x'.join(map(str, widths[1:-1])):>20}: {scratch} bytes for any number of points")
     return rows

@@ -21,7 +21,7 @@ from torture_families import FAMILIES, torture_networks
 from torture_verdict import Program, Shape, Verdict, Verdicts, brief, report, total
 from torture_worker import Outcome, Worker
 
-from ncv_cl.integration.integrator import METHODS, PRECISIONS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS, PRECISIONS
 from ncv_cl.opencl.device import GPU_LANES, Device
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
@@ -111,7 +111,7 @@ def programs_for(device: Device, quick: bool) -> list[Program]:
         Program(shape, precision, method, device_shape)
         for shape, device_shape in tried
         for precision in precisions
-        for method in METHODS
+        for method in INTEGRATION_METHODS
     ]
 
 

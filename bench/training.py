@@ -11,8 +11,10 @@ import numpy as np
 from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.learning.train import Trainer
 from ncv_cl.network.encode import GridCube, varying_inputs
-from ncv_cl.network.network import FoldedNetwork, Network
-from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.network.fold import FoldedNetwork
+from ncv_cl.network.network import Network
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer

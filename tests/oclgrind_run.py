@@ -10,7 +10,8 @@ from fitting import fitting
 
 from ncv_cl import render
 from ncv_cl.learning import tuning
-from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
+from ncv_cl.opencl.device import list_cl_devices, open_device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.settings.presets import PRESETS
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import NetworkDescription
-from ncv_cl.opencl.device import HostArray, open_device, widest_vectors
+from ncv_cl.opencl.device import open_device, widest_vectors
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import ShadingPoints
 from ncv_cl.sampling.accumulate import Accumulator, Estimate
 from ncv_cl.sampling.samples import NO_RAY, Batch

@@ -17,7 +17,7 @@ from ncv_cl.learning.alpha import (
     scale,
 )
 from ncv_cl.learning.tuning import LARGEST_COEFFICIENT, PSEUDO_SAMPLES, SMALLEST_COEFFICIENT
-from ncv_cl.network.network import FoldedNetwork
+from ncv_cl.network.fold import FoldedNetwork
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
 from ncv_cl.sampling.accumulate import Accumulator

@@ -9,7 +9,7 @@ import pytest
 from reference import bare_kernel, tangent_frame, unit
 from scipy.stats import chi2
 
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import SURFACE, surface_defines
 
 KERNEL = """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reference import bare_kernel, scattering, tangent_frame, unit
 
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import SURFACE, surface_defines
 
 KERNEL = """

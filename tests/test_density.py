@@ -11,7 +11,7 @@ from ncv_cl.learning.density import DensitySettings, DensityTrainer, tabulate
 from ncv_cl.learning.train import TrainingSamples
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import NetworkDescription
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.sampling.warp import DENSITY_BINS, pack_records
 
 BINS = DENSITY_BINS

@@ -9,14 +9,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from ncv_cl.opencl.device import (
-    GPU_LANES,
-    DeviceError,
-    HostArray,
-    default_widths,
-    open_device,
-    widest_vectors,
-)
+from ncv_cl.opencl.device import GPU_LANES, DeviceError, default_widths, open_device, widest_vectors
+from ncv_cl.opencl.memory import HostArray
 
 
 @pytest.mark.parametrize(

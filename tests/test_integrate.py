@@ -15,7 +15,8 @@ from ncv_cl.integration import certificate
 from ncv_cl.integration.arrangement import Capacities
 from ncv_cl.integration.integrate import integrate
 from ncv_cl.integration.integrator import Integrator
-from ncv_cl.opencl.device import GPU_LANES, HostArray, open_device, widest_vectors
+from ncv_cl.opencl.device import GPU_LANES, open_device, widest_vectors
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import option_list, source
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
@@ -274,7 +275,8 @@ import sys
 import numpy as np
 from rational import random_network
 from ncv_cl.integration import certificate
-from ncv_cl.opencl.device import HostArray, list_cl_devices, open_device
+from ncv_cl.opencl.device import list_cl_devices, open_device
+from ncv_cl.opencl.memory import HostArray
 from test_integrate import run, worst_error
 
 def fill(self, value):

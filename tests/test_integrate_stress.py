@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from rational import hard_networks, point_network, random_network, relative_errors
 
 from ncv_cl.integration.integrate import integrate
-from ncv_cl.integration.integrator import METHODS
+from ncv_cl.integration.integrator import INTEGRATION_METHODS
 
 LIMIT = {"float32": 1e-6, "float64": 1e-13}
 HARD = hard_networks()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 @pytest.mark.parametrize("precision", list(LIMIT))
 @pytest.mark.parametrize("name", list(HARD))
 def test_hard_networks(one_device, name, precision, method):
@@ -31,7 +31,7 @@ def test_hard_networks(one_device, name, precision, method):
 
 @pytest.mark.parametrize("name", ["one ulp apart", "borders and corners", "through the centre"])
 def test_hard_networks_in_every_shape_of_device(device, name):
-    for method in METHODS:
+    for method in INTEGRATION_METHODS:
         values = integrate(*HARD[name], method=method, device=device)
         for point, row in enumerate(values):
             assert relative_errors(row, *point_network(HARD[name], point)).max() <= LIMIT["float32"]
@@ -65,14 +65,14 @@ def _mangle(rng, network, decades):
 def test_a_thousand_random_networks(one_device, seed, decades):
     network = random_network((2, 5, 4, 1), 20, seed)
     network = _mangle(np.random.default_rng(seed), network, decades)
-    for method in METHODS:
+    for method in INTEGRATION_METHODS:
         values = integrate(*network, method=method, device=one_device)
         for point, row in enumerate(values):
             assert relative_errors(row, *point_network(network, point)).max() <= LIMIT["float32"]
 
 
 # Once off by 3.6e-6: what single precision loses where weights over eight decades cancel.
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_cancellation_over_eight_decades(one_device, method):
     network = _mangle(np.random.default_rng(49420), random_network((2, 5, 4, 1), 20, 49420), 4.0)
     for point, row in enumerate(integrate(*network, method=method, device=one_device)):
@@ -82,7 +82,7 @@ def test_cancellation_over_eight_decades(one_device, method):
 # Tiny faces at a corner beside the rest of the square: interpolation from the far end of an edge, a sum
 # that cancels, or a neuron that is not 0 on its own line once made these wrong without a word.
 @pytest.mark.parametrize("seed, point", [(15, 12), (46, 4), (48, 7), (64, 19), (31, 0)])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_small_faces_at_a_corner(one_device, method, seed, point):
     network = random_network((2, 5, 4, 1), 20, seed)
     network = _mangle(np.random.default_rng(seed), network, 4.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference import bare_kernel
 
-from ncv_cl.opencl.device import HostArray
 from ncv_cl.opencl.layout import Record
+from ncv_cl.opencl.memory import HostArray
 
 LAMP = Record("LAMP", {"corner": 3, "power": 1, "tint": 2}, multiple=4)
 COUNTS = Record("COUNT", {"first": 1, "rest": 2}, np.uint32)

@@ -30,7 +30,7 @@ from ncv_cl.integrands.lights import (
     strip_widths,
 )
 from ncv_cl.integrands.tuning import EQUAL_PART
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 
 CAMERA = camera_at([0, 1, 3], [0, 0, 0])

@@ -25,7 +25,7 @@ from ncv_cl import GlobalIllumination, render
 from ncv_cl.integrands import DirectLight
 from ncv_cl.integrands.lights import light_defines, light_records
 from ncv_cl.integrands.tuning import SMALL_LIGHT
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.scene.load import QuadLight
 

@@ -25,7 +25,8 @@ from reference import (
 from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
 
 from ncv_cl.integrands import DirectLight
-from ncv_cl.opencl.device import HostArray, open_device
+from ncv_cl.opencl.device import open_device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN

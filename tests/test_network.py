@@ -9,14 +9,9 @@ import pytest
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.integration.integrator import Integrator
 from ncv_cl.network.encode import Encoder, Encoding, GridCube, varying_inputs
-from ncv_cl.network.network import (
-    WEIGHT_GROUPS,
-    FoldedNetwork,
-    Network,
-    NetworkDescription,
-    NetworkError,
-)
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.network.fold import FoldedNetwork
+from ncv_cl.network.network import WEIGHT_GROUPS, Network, NetworkDescription, NetworkError
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
 from ncv_cl.scene.load import load_scene

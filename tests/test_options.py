@@ -114,3 +114,8 @@ def test_auto_honours_options_of_training_where_it_trains(one_device, scenes, mo
         monkeypatch.setattr("ncv_cl.estimation.tuning.LIGHT_SAMPLES_THAT_PAY", enough)
         image = ncv.render(scenes / "plane_light.toml", "direct", "auto", **options)
         assert image.stats["method"] == chosen and np.isfinite(image.pixels).all()
+
+
+def test_lines_are_refused_where_there_are_none(scenes):
+    with pytest.raises(ValueError, match="'lines' is for integrands direct and ao"):
+        ncv.render(scenes / "plane_light.toml", "gi", visibility="lines", **TINY)

@@ -30,6 +30,7 @@ PICTURES = {
     "gi mc": ("cornell_box", "gi", {"method": "mc"}),
     "gi ncv": ("cornell_box", "gi", {"method": "ncv"}),
     "direct ncv, several lights": ("interior", "direct", {"method": "ncv"}),
+    "direct mc, points": ("cornell_box", "direct", {"method": "mc", "visibility": "points"}),
     "direct mc, embree": ("occluders", "direct", {"method": "mc", "visibility": "embree"}),
     "direct mc, glossy": ("veach_plates", "direct", {"method": "mc"}),
     "direct mc, pilot": ("interior", "direct", {"method": "mc", "allocation": "pilot"}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import build
 
 

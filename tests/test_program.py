@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ncv_cl.opencl import program
-from ncv_cl.opencl.device import GROUP_SIZE, HostArray
+from ncv_cl.opencl.device import GROUP_SIZE
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.opencl.program import build, device_defines, kernel_folder, option_list, source
 from ncv_cl.points.sampler import sampler_defines
 

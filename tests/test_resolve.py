@@ -7,7 +7,7 @@ import pytest
 from reference import camera_at, light_at, mesh_scene, quad
 
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
 from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.sampling.accumulate import Estimate

@@ -8,7 +8,7 @@ from reference import bare_kernel, philox
 from reference import square_samples as expected_samples
 from scipy import stats
 
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.sampler import SAMPLERS, Stream, sampler_defines, seed_words, square_samples
 
 # Random123's kat_vectors: counter, key, result.

@@ -17,7 +17,7 @@ from reference import (
 )
 
 from ncv_cl.integrands import GlobalIllumination
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.scene.load import load_scene
 from ncv_cl.visibility.shadow import shadow_casters, shadow_defines

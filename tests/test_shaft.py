@@ -130,7 +130,7 @@ def test_pixels_do_not_depend_on_who_answers(device, scenes, name, method):
             scenes / f"{name}.toml", "direct", spp=16, size=(24, 24), visibility=visibility,
             device=device, **fitting(method, train_spp=4),
         )
-        for visibility in ("auto", "embree")
+        for visibility in ("points", "embree")
     ]  # fmt: skip
     np.testing.assert_array_equal(images[0].pixels, images[1].pixels)
     first, second = (image.stats for image in images)
@@ -166,7 +166,10 @@ def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path
         more = "".join(lamp.format(0.2 * k - 1) for k in range(lamps - 2))
         path.write_text(text + more, encoding="utf-8")
         options = {"spp": 8, "size": (16, 16), "device": one_device}
-        image = render(path, "direct", "mc", **options)
+        image = render(path, "direct", "mc", visibility="points", **options)
         assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
+        if lamps > MOST_LIGHTS:
+            with pytest.raises(ValueError, match="at most 8 lights, there are 9"):
+                render(path, "direct", "mc", visibility="lines", **options)
         traced = render(path, "direct", "mc", visibility="embree", **options)
         np.testing.assert_array_equal(image.pixels, traced.pixels)

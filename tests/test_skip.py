@@ -87,8 +87,9 @@ def test_leaving_out_dark_points_changes_no_pixel(device, scenes, method, tmp_pa
 
 def test_statistics_say_what_was_skipped(one_device, scenes):
     image = render(
-        scenes / "occluders.toml", "direct", "ncv", spp=8, train_spp=8, size=SIZE, device=one_device
-    )
+        scenes / "occluders.toml", "direct", "ncv", spp=8, train_spp=8, size=SIZE, device=one_device,
+        visibility="points",
+    )  # fmt: skip
     skipped, points = image.stats["skipped"], image.stats["points"]
     assert skipped["background_points"] > 0 and skipped["rays"] == image.stats["rays_skipped"]
     assert skipped["background_points"] + skipped["points_without_light"] + points == SIZE[0] * SIZE[1]

@@ -24,7 +24,8 @@ from reference import (
 from ncv_cl import load_scene
 from ncv_cl.integrands import AmbientOcclusion
 from ncv_cl.integrands.ao import MAPPINGS
-from ncv_cl.opencl.device import HostArray, open_device
+from ncv_cl.opencl.device import open_device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.points.trace import Tracer
 from ncv_cl.rendering.render import render

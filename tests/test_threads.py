@@ -12,7 +12,8 @@ import pytest
 from ncv_cl import choose_device, estimate, integrate, render
 from ncv_cl.opencl import device as device_module
 from ncv_cl.opencl import program
-from ncv_cl.opencl.device import HostArray, open_device
+from ncv_cl.opencl.device import open_device
+from ncv_cl.opencl.memory import HostArray
 
 # Scenes, integrands and methods that share kernels with another of them, and that do not.
 JOBS = (

@@ -17,7 +17,7 @@ from ncv_cl.learning.density import Density
 from ncv_cl.learning.triangulate import VERTEX_BITS, TriangleWarp
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import NetworkDescription, NetworkError
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer

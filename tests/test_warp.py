@@ -8,7 +8,7 @@ from reference import camera_at, light_at, mesh_scene, quad, unpack_records
 from scipy import stats
 
 from ncv_cl.integrands import DirectLight
-from ncv_cl.opencl.device import HostArray
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer

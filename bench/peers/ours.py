@@ -21,8 +21,10 @@ from ncv_cl.host.clock import Stopwatch
 from ncv_cl.learning.density import Density, DensityTrainer, tabulate
 from ncv_cl.learning.train import Trainer
 from ncv_cl.network.encode import GridCube
-from ncv_cl.network.network import FoldedNetwork, Network
-from ncv_cl.opencl.device import Device, HostArray
+from ncv_cl.network.fold import FoldedNetwork
+from ncv_cl.network.network import Network
+from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.points.sampler import Stream
 from ncv_cl.rendering.estimate import UNIT_CUBE

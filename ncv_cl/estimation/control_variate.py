@@ -13,8 +13,10 @@ from ..integration.integrator import Integrator
 from ..learning.alpha import can_scale, control_coefficients, scale
 from ..learning.density import Density, DensityNetwork, DensityTrainer, tabulate
 from ..learning.train import TrainingSamples
-from ..network.network import FoldedNetwork, Network
-from ..opencl.device import Device, HostArray
+from ..network.fold import FoldedNetwork
+from ..network.network import Network
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
 

@@ -10,8 +10,9 @@ import numpy as np
 from ..host.clock import Stopwatch
 from ..learning.density import Density
 from ..learning.triangulate import TriangleWarp
-from ..network.network import FoldedNetwork
-from ..opencl.device import Device, HostArray
+from ..network.fold import FoldedNetwork
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.problem import Problem

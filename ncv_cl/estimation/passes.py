@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..host.clock import Stopwatch
-from ..opencl.device import HostArray
+from ..opencl.memory import HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator
 from ..sampling.problem import Problem

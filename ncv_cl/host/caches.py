@@ -1,4 +1,4 @@
-"""Which cache folders are writable (ours, pyopencl's, PoCL's), and what to do where none is.
+"""Which cache folders are writable (pyopencl's, PoCL's), and what to do where none is.
 
 A home that is missing, read-only or somebody else's makes a render slower, but does not make it fail.
 """

@@ -50,6 +50,8 @@ class Integrand:
     """Whether points on area lights have an integral of their own."""
     to_lights: ClassVar[bool] = False
     """Whether every ray ends on an area light, and ``data`` begins with the lights' records."""
+    along_lines: ClassVar[bool] = False
+    """Whether lines of constant u lie straight on one light each, as lights.cl places them."""
     sliced: ClassVar[bool] = False
     """Whether v is the azimuth about the normal, and the integral over u of f with visibility up to a
     distance of ``data[0]`` is what slices.cl finds."""

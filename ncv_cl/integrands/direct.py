@@ -25,6 +25,7 @@ class DirectLight(Integrand):
     demodulated = True
     emitters_active = False
     to_lights = True
+    along_lines = True
 
     def data(self, scene: Scene) -> np.ndarray:
         self._check(scene)

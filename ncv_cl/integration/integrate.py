@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..opencl.choose import choose_device
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from .certificate import PRECISIONS, Statistics
 from .integrator import Integrator, check_options
 

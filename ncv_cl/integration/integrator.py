@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import Device, HostArray, widest_vectors
+from ..opencl.device import Device, widest_vectors
+from ..opencl.memory import HostArray
 from ..opencl.program import device_defines
 from .arrangement import robust_shape_constants, shape_constants
 from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
 from .stage import ROBUST_FILES, ArrangementStage, ClippingStage, Constants, Networks
 
 INTEGRATION_METHODS = ("decoupled", "full")
+# Layers that the kernels have arguments for, and the widest that tests of exactness go to.
 MAX_HIDDEN_LAYERS = 4
 MAX_WIDTH = 128
 # Largest slope: steeper than any leaky relu, and a few layers of it stay in the range of single
@@ -27,6 +29,7 @@ TINY = {"float32": "1e-37f", "float64": "1e-300"}
 TRIANGLES_A_SUM = 16
 # Points of one launch at most, which bounds the list of points to be done again.
 POINTS_A_LAUNCH = 1 << 20
+# Bytes of all groups' workspaces at most: fewer groups where they would not fit.
 SCRATCH_BYTES = 256 << 20
 
 

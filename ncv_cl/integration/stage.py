@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, Device, DeviceError, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, Device, DeviceError
+from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from .certificate import COUNTERS
 

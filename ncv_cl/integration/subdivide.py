@@ -11,7 +11,8 @@ import OpenImageIO as oiio
 import pyopencl as cl
 
 from ..opencl.choose import choose_device
-from ..opencl.device import Device, HostArray, open_device
+from ..opencl.device import Device, open_device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from .clip import Cell, clipped_cells
 from .integrate import activation_slope, plain_arrays

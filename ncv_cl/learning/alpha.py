@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..network.network import FoldedNetwork
-from ..opencl.device import HostArray
+from ..network.fold import FoldedNetwork
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
 from . import tuning

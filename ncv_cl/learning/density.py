@@ -13,9 +13,11 @@ import numpy as np
 from ..host.clock import CHECKED_STEPS
 from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
-from ..network.network import POINTS_PER_FOLD, FoldedNetwork, Network, NetworkDescription, NetworkError
-from ..opencl.device import Device, HostArray
+from ..network.fold import POINTS_PER_FOLD, FoldedNetwork
+from ..network.network import Network, NetworkDescription, NetworkError
+from ..opencl.device import Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..network.network import FoldedNetwork, Network
-from ..opencl.device import Device, HostArray
+from ..network.fold import FoldedNetwork
+from ..network.network import Network
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Accumulator
 from ..sampling.samples import NO_RAY, SEEN, Batch

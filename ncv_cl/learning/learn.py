@@ -12,7 +12,7 @@ import numpy as np
 
 from ..host.clock import NO_TIME, TRAINING_SHARE, OutOfTime, Run
 from ..network.network import Network
-from ..opencl.device import HostArray
+from ..opencl.memory import HostArray
 from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.guide import Guide

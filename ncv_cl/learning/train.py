@@ -13,8 +13,9 @@ from ..host.clock import CHECKED_STEPS
 from ..network.encode import Encoder, GridIndex, TouchedTable
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
-from ..opencl.device import GPU_LOCAL_BYTES, Device, HostArray
+from ..opencl.device import GPU_LOCAL_BYTES, Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator

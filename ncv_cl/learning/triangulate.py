@@ -8,9 +8,11 @@ import numpy as np
 import pyopencl as cl
 
 from ..integration.arrangement import Capacities
-from ..network.network import FoldedNetwork, NetworkError
-from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, Device, HostArray
+from ..network.fold import FoldedNetwork
+from ..network.network import NetworkError
+from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..sampling.warp import Warp, warp_defines
 from .density import Density

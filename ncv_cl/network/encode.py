@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..host.files import some_of, whole_number
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import INPUTS, ShadingPoints, surface_defines
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from .network import NetworkDescription
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from .device import GROUP_SIZE, Device, HostArray
+from .device import GROUP_SIZE, Device
+from .memory import HostArray
 
 _TYPES = {
     "char": np.int8,

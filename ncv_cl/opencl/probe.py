@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .device import Device, HostArray
+from .device import Device
+from .memory import HostArray
 from .program import build
 
 ITEMS, STEPS = 1 << 16, 1024

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..scene.load import Camera, Scene
 from .trace import Hits, Tracer

@@ -10,7 +10,8 @@ import numbers
 
 import numpy as np
 
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 
 SAMPLERS = ("independent", "sobol")

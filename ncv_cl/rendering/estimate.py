@@ -9,7 +9,8 @@ import numpy as np
 
 from ..host.clock import Clock, Run, Stopwatch, never
 from ..opencl.choose import choose_device
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..output.keep import Keep
 from ..output.report import finite
 from ..output.resolve import combine, estimate_of

@@ -12,9 +12,10 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.lines import most_on_lines
+from ..visibility.lines import lines_pay, most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import Slices
+from ..visibility.tuning import MOST_LIGHTS
 
 
 def prepare(
@@ -34,6 +35,11 @@ def prepare(
         Gets the seconds of stages "scene", "points", "shafts" and "slices".
     """
     integrand = settings.integrand
+    if settings.sampling.visibility == "lines" and not (integrand.sliced or shafts_pay(scene)):
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
+            f"{len(scene.lights)}; take 'auto'"
+        )
     with watch("scene"):
         tracer = Tracer(scene, threads)
     with watch("points"):
@@ -46,15 +52,13 @@ def prepare(
             integrand.emitters_active,
         )
         points = _without_dark(scene, settings, points)
-    occluders = None
-    lines = settings.sampling.visibility == "lines"
+    occluders, lines = None, False
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
     if integrand.to_lights and looked_for and points.active:
         with watch("shafts"):
-            most = most_on_lines(device) if lines else MOST_OCCLUDERS
-            occluders = Occluders(device, scene, points, integrand, most)
+            occluders, lines = _occluders(device, scene, settings, points)
     slices = None
-    if integrand.sliced and lines:
+    if integrand.sliced and settings.sampling.visibility == "lines":
         with watch("slices"):
             slices = Slices(device, scene)
     source = sample_source(
@@ -83,6 +87,18 @@ def prepare(
         integrand.demodulated,
         narrowest=narrowest,
     )
+
+
+def _occluders(
+    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[Occluders, bool]:
+    """What stands between the points and the lights, and whether to sample along lines."""
+    integrand, visibility = settings.integrand, settings.sampling.visibility
+    if integrand.along_lines and visibility in ("auto", "lines"):
+        occluders = Occluders(device, scene, points, integrand, most_on_lines(device))
+        if visibility == "lines" or lines_pay(occluders.unknown, points.active):
+            return occluders, True
+    return Occluders(device, scene, points, integrand, MOST_OCCLUDERS), False
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

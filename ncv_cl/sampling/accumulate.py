@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..network.network import FoldedNetwork
-from ..opencl.device import GROUP_SIZE, Device, HostArray
+from ..network.fold import FoldedNetwork
+from ..opencl.device import GROUP_SIZE, Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
 from .samples import Batch, ray_defines

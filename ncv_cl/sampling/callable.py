@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..integrands import Integrand, IntegrandError
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ..integrands import GlobalIllumination, Integrand
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines

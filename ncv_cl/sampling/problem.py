@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..network.encode import GridCube, varying_inputs
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..points.points import ShadingPoints
 from .samples import Batches
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..integrands import Integrand
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import Stream, sampler_defines, seed_words

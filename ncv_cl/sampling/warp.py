@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..opencl.device import HostArray
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 
 # Cells an axis of a density: the edges between eight are seven bytes, of two words.
 DENSITY_BINS = 8

@@ -6,8 +6,9 @@ import time
 
 import numpy as np
 
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
 from ..opencl.layout import Record
+from ..opencl.memory import HostArray
 from ..points.trace import Hits, Tracer
 
 # Words before the planes of a wave, and between the two counts there: a cache line each.

@@ -40,11 +40,12 @@ class Sampling:
         How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
         its variance in a quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By
         default what the preset says for ncv, "uniform" for mc.
-    visibility : {"auto", "lines", "embree"}
-        Test shadow rays that few triangles can block on the device ("auto"), or trace all of them by
-        embree: pixels differ only where a ray grazes an edge. "lines" finds in direct light what is seen
-        of whole lines on the lights, and samples only that, and in ambient occlusion what is seen in
-        whole slices of the hemisphere: other samples, no shadow rays, less error.
+    visibility : {"auto", "lines", "points", "embree"}
+        "lines": find what is seen of whole lines on the lights (direct light), or in whole slices of the
+        hemisphere (ambient occlusion), and sample only that: no shadow rays, less error. "points": test
+        shadow rays that few triangles can block on the device. "embree": trace all of them; pixels
+        differ from those by points where a ray grazes an edge. "auto": lines in direct light, where the
+        triangles before the lights are known at nearly all points; else points.
     skip_dark : bool
         Leave out points that face away from every light, whose value is zero, or compute them as well,
         to compare.
@@ -53,7 +54,7 @@ class Sampling:
     sampler: Literal["sobol", "independent"] = "sobol"
     supersample: int = 1
     allocation: Literal["magnitude", "pilot", "uniform"] | None = None
-    visibility: Literal["auto", "lines", "embree"] = "auto"
+    visibility: Literal["auto", "lines", "points", "embree"] = "auto"
     skip_dark: bool = True
 
     def __post_init__(self) -> None:

@@ -51,6 +51,12 @@ class Settings:
             )
         seed_words(self.seed)
         self._check_method()
+        by_lines = self.integrand.along_lines or self.integrand.sliced
+        if self.sampling.visibility == "lines" and not by_lines:
+            raise ValueError(
+                f"visibility 'lines' is for integrands direct and ao: {self.integrand.name} has no "
+                "lines on lights; take 'auto'"
+            )
 
     def _check_method(self) -> None:
         """Raise for options that have no effect with this method."""

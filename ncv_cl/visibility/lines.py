@@ -16,6 +16,17 @@ def most_on_lines(device: Device) -> int:
     return MOST_ON_LINES["vector" if device.vector_width > 1 else "single"]
 
 
+def lines_pay(unknown: int, points: int) -> bool:
+    """Whether lines reach an error sooner than points, where `unknown` of so many points have no list.
+
+    A line takes up to twice the time of a point, and leaves little error where the list is known.
+    The error of Sobol points falls like n^-1.5: as many points as the time would buy have 2^-1.5 = 0.35
+    of it. So lines pay where less than that is left, at points without a list; this asks for less than
+    a quarter, since lists of many triangles take time as well.
+    """
+    return 4 * unknown < points
+
+
 def line_defines() -> dict[str, str]:
     """The `-D` constants of lines.cl, beside those of shaft.cl."""
     return {

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands import Integrand
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..opencl.device import Device, HostArray
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
 from ..scene.load import Scene
 from . import tuning
 from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
