@@ -85,7 +85,7 @@ def test_what_cannot_be_used_is_listed_and_never_chosen(monkeypatch):
     assert choose_device(first.name).index == 0
     with pytest.raises(DeviceError, match=r"device 1, .* is broken"):
         choose_device(1)
-    monkeypatch.setattr(choose, "measure", lambda device: choose.Probe(1.0, True))
+    monkeypatch.setattr(choose, "measure", lambda device: choose.Probe(1.0))
     usable, unusable = str(devices()).splitlines()
     assert "ns a sample" in usable and "not used" not in usable
     assert unusable.startswith(second.describe()) and unusable.endswith("not used: is broken")
@@ -97,7 +97,7 @@ def test_a_device_whose_benchmark_fails_does_not_keep_others_from_the_list(monke
 
     def fail(device):
         if device.index == 2:
-            return choose.Probe(1.0, True)
+            return choose.Probe(1.0)
         raise (cl.RuntimeError, RuntimeError)[device.index](
             "building failed:\n<program>:3: error: no\nmore"
         )

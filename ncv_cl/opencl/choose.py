@@ -16,7 +16,7 @@ from .device import (
     open_device,
     pocl_version,
 )
-from .probe import Probe, measure
+from .probe import Probe, measure, record
 from .runtimes import INTEL_PLATFORM, platforms
 
 VARIABLE = "NCV_CL_DEVICE"
@@ -98,7 +98,9 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     check_process()
     if isinstance(selector, Device):
         return selector
-    return _chosen(selector)
+    device = _chosen(selector)
+    record(device)
+    return device
 
 
 def _chosen(selector: int | str | None) -> Device:

@@ -1,18 +1,31 @@
-"""A short benchmark of a device, for lists of devices; nothing else depends on it."""
+"""What a device is: a short benchmark for lists of devices, and a record of those that were used.
+
+Nothing depends on either: devices and methods are chosen by rules (`choose`, `estimation.method`).
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import tempfile
+import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..host.caches import cache_folder
+from ..host.version import package_version
 from .device import Device
 from .memory import HostArray
 from .program import build
 
 ITEMS, STEPS = 1 << 16, 1024
 SECONDS = 0.3
+
+_recorded: set[Device] = set()
+_lock = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -51,3 +64,30 @@ def measure(device: Device) -> Probe:
     if not np.allclose(values.read(), 2.0):
         raise RuntimeError("multiply-adds came out wrong")
     return Probe(1e-9 * values.shape[0] * STEPS / float(np.median(times)))
+
+
+def record(device: Device) -> None:
+    """Note in the user's cache folder what a device that is used is taken for, for reports of faults.
+
+    Once a process and device; where the folder cannot be written, nothing is noted.
+    """
+    folder = cache_folder("ncv_cl")
+    with _lock:
+        if device in _recorded or folder is None:
+            return
+        _recorded.add(device)
+        path = folder / "probe.json"
+        known: dict[str, object] = {}
+        with suppress(OSError, ValueError, TypeError):
+            known = dict(json.loads(path.read_text(encoding="utf-8")))
+        key = f"{package_version()} | {device.identity} | VEC {device.vector_width}"
+        facts = {"use_fma": device.use_fma, "lanes": device.lanes}
+        if known.get(key) == facts:
+            return
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(
+                "w", dir=path.parent, delete=False, encoding="utf-8"
+            ) as file:
+                json.dump(known | {key: facts}, file, indent=1)
+            os.replace(file.name, path)
