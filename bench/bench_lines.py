@@ -18,6 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 from training import SCENES
+from visibility_case import Case
 
 import ncv_cl as ncv
 from ncv_cl.host.clock import Stopwatch
@@ -38,58 +39,20 @@ CONSTANTS = {
 }
 
 
-class Case:
-    """Renders of one scene, and their errors.
-
-    Parameters
-    ----------
-    name : str
-        Of a shipped scene.
-    size : int
-        Pixels a side.
-    """
-
-    def __init__(self, name: str, size: int) -> None:
-        self.name, self._size = name, size
-        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
-        truth = self.render("lines", 8192, 991)
-        self._truth = truth.pixels.astype(np.float64)
-        judge = self.render("embree", 4096, 992)
-        print(
-            f"{name}: 8192 lines and 4096 points of embree differ by {self.error(judge):.2e}; "
-            f"estimated {judge.stats['estimated_mse']:.2e}",
-            flush=True,
-        )
-
-    def render(self, visibility: str, spp: int, seed: int, **options: object) -> ncv.Image:
-        size = (self._size, self._size)
-        options = {"method": "mc", "visibility": visibility, "spp": spp, "seed": seed, **options}
-        return ncv.render(self._scene, "direct", size=size, **options)
-
-    def error(self, image: ncv.Image) -> float:
-        return float(np.mean((image.pixels - self._truth) ** 2))
-
-
 def errors(case: Case, seeds: int) -> None:
     for visibility in ("embree", "lines"):
-        found = [
-            np.mean([case.error(case.render(visibility, n, seed)) for seed in range(seeds)])
-            for n in NUMBERS
-        ]
-        falls = -np.diff(np.log(found)) / np.diff(np.log(NUMBERS))
-        row = " ".join(f"{n}: {e:.2e}" for n, e in zip(NUMBERS, found, strict=True))
-        print(f"  {visibility:6} {row}  falls by {np.round(falls, 2)}", flush=True)
+        case.print_errors(visibility, NUMBERS, seeds)
 
 
 def equal(case: Case, rounds: int) -> None:
     known: dict[int, float] = {}
     for points in (1024, 4096):
-        goal = case.error(case.render("auto", points, 5))
+        goal = case.error(case.render("points", points, 5))
         for number in LADDER:
             known.setdefault(number, case.error(case.render("lines", number, 5)))
             if known[number] <= goal:
                 break
-        rivals = {"auto": points, "lines": number}
+        rivals = {"points": points, "lines": number}
         seconds = {name: [] for name in rivals}
         for seed in range(rounds):
             for name, spp in rivals.items():
@@ -172,7 +135,7 @@ def main() -> None:
         constants(options.size, options.rounds)
         return
     for name in options.scenes:
-        parts[options.part](Case(name, options.size), options.rounds)
+        parts[options.part](Case(name, "direct", options.size, 8192), options.rounds)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 from training import SCENES
+from visibility_case import Case
 
 import ncv_cl as ncv
 from ncv_cl.host.clock import Stopwatch
@@ -37,45 +38,9 @@ CONSTANTS = (
 LADDER = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
-class Case:
-    """Renders of one scene, and their errors.
-
-    Parameters
-    ----------
-    name : str
-        Of a shipped scene.
-    size : int
-        Pixels a side.
-    """
-
-    def __init__(self, name: str, size: int) -> None:
-        self._size = size
-        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
-        self._truth = self.render("lines", 2048, 991).pixels.astype(np.float64)
-        judge = self.render("embree", 4096, 992)
-        print(
-            f"{name}: 2048 slices and 4096 rays differ by {self.error(judge):.2e}; "
-            f"estimated {judge.stats['estimated_mse']:.2e}",
-            flush=True,
-        )
-
-    def render(self, visibility: str, spp: int, seed: int) -> ncv.Image:
-        options = {"method": "mc", "spp": spp, "seed": seed, "size": (self._size, self._size)}
-        return ncv.render(self._scene, "ao", visibility=visibility, **options)
-
-    def error(self, image: ncv.Image) -> float:
-        return float(np.mean((image.pixels - self._truth) ** 2))
-
-
-def errors(case: Case, rounds: int) -> None:
+def errors(case: Case, seeds: int) -> None:
     for visibility, numbers in (("embree", RAYS), ("lines", SLICES)):
-        found = [
-            np.mean([case.error(case.render(visibility, n, seed)) for seed in range(rounds)])
-            for n in numbers
-        ]
-        falls = -np.diff(np.log(found)) / np.diff(np.log(numbers))
-        row = " ".join(f"{n}: {e:.2e}" for n, e in zip(numbers, found, strict=True))
-        print(f"  {visibility:6} {row}  falls by {np.round(falls, 2)}", flush=True)
+        case.print_errors(visibility, numbers, seeds)
 
 
 def equal(case: Case, rounds: int) -> None:
@@ -171,7 +136,9 @@ def main() -> None:
         constants(options.size, options.rounds)
         return
     for name in options.scenes:
-        {"errors": errors, "equal": equal}[options.part](Case(name, options.size), options.rounds)
+        {"errors": errors, "equal": equal}[options.part](
+            Case(name, "ao", options.size, 2048), options.rounds
+        )
 
 
 if __name__ == "__main__":

@@ -1,0 +1,52 @@
+"""Errors of one scene's renders by each kind of visibility, for the benchmarks of lines and slices."""
+
+from __future__ import annotations
+
+import numpy as np
+from training import SCENES
+
+import ncv_cl as ncv
+
+
+class Case:
+    """Renders of one scene, and their errors.
+
+    Parameters
+    ----------
+    name : str
+        Of a shipped scene.
+    integrand : str
+    size : int
+        Pixels a side.
+    samples : int
+        Lines or slices of the reference, which is compared with 4096 samples traced by embree.
+    """
+
+    def __init__(self, name: str, integrand: str, size: int, samples: int) -> None:
+        self.name, self._integrand, self._size = name, integrand, size
+        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
+        self._truth = self.render("lines", samples, 991).pixels.astype(np.float64)
+        judge = self.render("embree", 4096, 992)
+        print(
+            f"{name}: {samples} by lines and 4096 by embree differ by {self.error(judge):.2e}; "
+            f"estimated {judge.stats['estimated_mse']:.2e}",
+            flush=True,
+        )
+
+    def render(self, visibility: str, spp: int, seed: int, **options: object) -> ncv.Image:
+        size = (self._size, self._size)
+        options = {"method": "mc", "visibility": visibility, "spp": spp, "seed": seed, **options}
+        return ncv.render(self._scene, self._integrand, size=size, **options)
+
+    def error(self, image: ncv.Image) -> float:
+        return float(np.mean((image.pixels - self._truth) ** 2))
+
+    def print_errors(self, visibility: str, numbers: tuple[int, ...], seeds: int) -> None:
+        """Mean square errors by the number of samples, and the power by which they fall."""
+        found = [
+            np.mean([self.error(self.render(visibility, n, seed)) for seed in range(seeds)])
+            for n in numbers
+        ]
+        falls = -np.diff(np.log(found)) / np.diff(np.log(numbers))
+        row = " ".join(f"{n}: {e:.2e}" for n, e in zip(numbers, found, strict=True))
+        print(f"  {visibility:6} {row}  falls by {np.round(falls, 2)}", flush=True)
