@@ -28,10 +28,11 @@ from ncv_cl.opencl.device import Device
 
 INDEPENDENT, SOBOL, PILOT = "MC, independent", "MC, Sobol", "MC, Sobol, pilot"
 SLIDES, DEFAULT, NO_DENSITY, AUTO = "NCV, slides", "NCV", "NCV, no density", "auto"
+# Plain Monte Carlo as it is without lines on the lights: what the others are held against.
 METHODS = {
-    INDEPENDENT: {"method": "mc", "sampler": "independent"},
-    SOBOL: {"method": "mc"},
-    PILOT: {"method": "mc", "allocation": "pilot"},
+    INDEPENDENT: {"method": "mc", "sampler": "independent", "visibility": "points"},
+    SOBOL: {"method": "mc", "visibility": "points"},
+    PILOT: {"method": "mc", "allocation": "pilot", "visibility": "points"},
     SLIDES: {"method": "ncv", "preset": "slides"},
     NO_DENSITY: {"method": "ncv", "density": "none", "allocation": "uniform"},
     DEFAULT: {"method": "ncv"},
