@@ -160,6 +160,7 @@ def test_a_copy_of_a_shipped_integrand_gives_its_bits(one_device, scenes, tmp_pa
     """With lights' records, occluder lists, and shipped kernel files before its own."""
     shutil.copy(kernel_files()["direct"], tmp_path / "copy.cl")
     code = 'import ncv_cl\nclass Mine(ncv_cl.DirectLight):\n    files = ("bsdf", "lights", "copy.cl")\n'
+    code += "    to_lights = along_lines = True\n"
     name = write(tmp_path, code=code)
     pictures = [
         ncv.render(scenes / "cornell_box.toml", integrand, method, **options(one_device)).pixels
@@ -360,3 +361,27 @@ def test_the_compilers_message_names_file_and_line(one_device, tmp_path, capfd):
     assert f"{tmp_path / 'mine.cl'}:4:" in said and "undeclared" in said
     first = str(caught.value).splitlines()[0]
     assert first == f"{tmp_path / 'mine.cl'} cannot be compiled:" or first.startswith("building common")
+
+
+def derived(kind, name, old, new, **attributes):
+    """A class of one's own whose kernel is the shipped one with something changed."""
+    text = kernel_files()[kind.name].read_text()
+    assert old in text
+    files = (*kind.files[:-1], ncv.KernelText(name, text.replace(old, new)))
+    return type("Derived", (kind,), {"name": name, "files": files, **attributes})()
+
+
+@pytest.mark.parametrize("visibility", ["auto", "points"])
+def test_a_derived_class_inherits_no_promise_of_its_kernel(one_device, scenes, visibility):
+    """Rays that end before the light, and half of ambient occlusion, are rendered as they are."""
+    scene = scenes / "cornell_box.toml"
+    short = derived(ncv.DirectLight, "short", "*distance = (real)1.0f;", "*distance = (real)0.3f;")
+    half = derived(ncv.AmbientOcclusion, "half", "value[0] = ", "value[0] = 0.5f * ")
+    for integrand in (short, half):
+        found, traced = (
+            ncv.render(scene, integrand, "mc", visibility=v, **options(one_device))
+            for v in (visibility, "embree")
+        )
+        np.testing.assert_array_equal(found.pixels, traced.pixels)
+        with pytest.raises(ValueError, match="'lines' is for"):
+            ncv.render(scene, integrand, "mc", visibility="lines", **options(one_device))

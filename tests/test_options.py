@@ -119,3 +119,46 @@ def test_auto_honours_options_of_training_where_it_trains(one_device, scenes, mo
 def test_lines_are_refused_where_there_are_none(scenes):
     with pytest.raises(ValueError, match="'lines' is for integrands direct and ao"):
         ncv.render(scenes / "plane_light.toml", "gi", visibility="lines", **TINY)
+
+
+def test_numbers_may_be_of_any_type(one_device, scenes):
+    scene = scenes / "plane_light.toml"
+    plain = ncv.render(scene, "direct", "mc", 4, (4, 4), 7, one_device, supersample=2)
+    for spp, size in ((4.0, np.array([4, 4])), (np.float32(4), (np.int64(4), 4.0))):
+        found = ncv.render(
+            scene, "direct", "mc", spp, size, np.uint64(7), one_device, supersample=np.int64(2)
+        )
+        np.testing.assert_array_equal(found.pixels, plain.pixels)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"visibility": None},
+        {"skip_dark": "no"},
+        {"stop": 5},
+        {"preset": ["wide"], "method": "ncv"},
+        {"sampler": 3},
+        {"network": "n.npz", "train_spp": 4, "method": "ncv"},
+    ],
+)
+def test_what_is_no_value_of_an_option_is_refused(scenes, options):
+    with pytest.raises(ValueError, match=next(iter(options)).replace("network", "train_spp")):
+        ncv.render(scenes / "plane_light.toml", **(TINY | options))
+
+
+def test_split_direct_light_takes_groups_and_files_as_single_options(one_device, scenes, tmp_path):
+    common = {**TINY, "device": one_device, "seed": np.int64(3)}
+    scene, file = scenes / "cornell_box.toml", tmp_path / "reference.exr"
+    image = ncv.render_split(scene, **common)
+    image.write(file)
+    for given in ({"reference": file}, {"files": ncv.Files(reference=image.pixels)}):
+        assert ncv.render_split(scene, **common, **given).stats["mse"] == pytest.approx(0, abs=1e-12)
+    for group in (
+        {"files": ncv.Files(checkpoint=tmp_path / "c.npz")},
+        {"stopping": Stopping(target_mse=1.0)},
+    ):
+        with pytest.raises(ValueError, match="is for one render"):
+            ncv.render_split(scene, **common, **group)
+    limited = ncv.render_split(scene, **(common | {"spp": 10**8}), stopping=Stopping(time_limit=0.5))
+    assert limited.stats["ended_by"] == "time_limit"

@@ -58,6 +58,16 @@ class Integrand:
     nested: ClassVar[bool] = False
     """Whether f is itself estimated, by paths (`paths.PathSource`)."""
 
+    def promises(self, name: str) -> bool:
+        """Whether the kernel keeps what `to_lights`, `along_lines` or `sliced` says of it.
+
+        A class of one's own inherits none of these: its kernel may be another, so it must say so itself.
+        """
+        kind = type(self)
+        if kind.__module__.startswith("ncv_cl."):
+            return bool(getattr(self, name))
+        return name in vars(kind) and bool(getattr(self, name))
+
     def data(self, scene: Scene) -> np.ndarray:
         """The float32 array that the kernels call ``integrand_data``; by default empty."""
         return np.zeros(0, np.float32)

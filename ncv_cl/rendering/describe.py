@@ -53,4 +53,6 @@ def describe(
     }
     image.stats = stats
     sampled = (drawn.plain, outcome.before) if points.active else (None, None)
-    image.metadata = metadata(scene, settings, problem.device, *sampled)
+    # Of "auto", the options of what it has chosen.
+    found = metadata(scene, outcome.plan.settings, problem.device, *sampled)
+    image.metadata = found | {"method": settings.method}

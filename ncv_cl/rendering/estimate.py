@@ -17,7 +17,7 @@ from ..output.resolve import combine, estimate_of
 from ..points.points import SURFACE, ShadingPoints
 from ..sampling.callable import CallableSource, Function, HostIntegrand
 from ..sampling.problem import Problem
-from ..settings.options import Sampling, Stopping, Training, changed, gathered
+from ..settings.options import MOST_CELLS, Sampling, Stopping, Training, changed, checked_whole, gathered
 from ..settings.settings import Settings
 from .pipeline import Outcome, estimate_integrals
 
@@ -95,8 +95,8 @@ def estimate(
         For bad arguments, and options of scenes and cameras.
     """
     started = time.perf_counter()
-    if int(points) != points or points < 1 or int(channels) != channels or channels < 1:
-        raise ValueError(f"points and channels must be at least 1, got {points!r} and {channels!r}")
+    points = checked_whole("points", points, MOST_CELLS)
+    channels = checked_whole("channels", channels, MOST_CELLS)
     if method not in ("ncv", "mc"):
         raise ValueError(f"method must be ncv or mc, got {method!r}")
     if method == "mc" and training is WIDE:

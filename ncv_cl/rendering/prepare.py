@@ -35,7 +35,9 @@ def prepare(
         Gets the seconds of stages "scene", "points", "shafts" and "slices".
     """
     integrand = settings.integrand
-    if settings.sampling.visibility == "lines" and not (integrand.sliced or shafts_pay(scene)):
+    if settings.sampling.visibility == "lines" and not (
+        integrand.promises("sliced") or shafts_pay(scene)
+    ):
         raise ValueError(
             f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
             f"{len(scene.lights)}; take 'auto'"
@@ -54,11 +56,11 @@ def prepare(
         points = _without_dark(scene, settings, points)
     occluders, lines = None, False
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
-    if integrand.to_lights and looked_for and points.active:
+    if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
     slices = None
-    if integrand.sliced and settings.sampling.visibility == "lines":
+    if integrand.promises("sliced") and settings.sampling.visibility == "lines":
         with watch("slices"):
             slices = Slices(device, scene)
     source = sample_source(
@@ -94,7 +96,7 @@ def _occluders(
 ) -> tuple[Occluders, bool]:
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
-    if integrand.along_lines and visibility in ("auto", "lines"):
+    if integrand.promises("along_lines") and visibility in ("auto", "lines"):
         occluders = Occluders(device, scene, points, integrand, most_on_lines(device))
         if visibility == "lines" or lines_pay(occluders.unknown, points.active):
             return occluders, True

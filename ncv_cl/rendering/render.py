@@ -108,7 +108,7 @@ def render(
     settings.check_files(files)
     # Fails for scenes that do not suit the integrand before anything is traced.
     settings.integrand.check(scene)
-    reference = _reference(files.reference, settings)
+    reference = reference_of(files.reference, settings.size)
     given = _given(settings.training.network)
     device = choose_device(device)
     keep = _keep(files, identity(scene, settings, device, given.network if given else None))
@@ -133,12 +133,13 @@ def integrand_of(integrand: str | Integrand) -> Integrand:
     return integrand
 
 
-def _reference(given: np.ndarray | str | Path | None, settings: Settings) -> np.ndarray | None:
+def reference_of(given: np.ndarray | str | Path | None, size: tuple[int, int]) -> np.ndarray | None:
+    """A reference for an image of this width and height, read if it is a file."""
     if given is None:
         return None
     if isinstance(given, (str, Path)):
-        return read_reference(given, (settings.size[1], settings.size[0]))
-    return checked_reference(given, settings.size)
+        return read_reference(given, (size[1], size[0]))
+    return checked_reference(given, size)
 
 
 def _given(network: Network | str | Path | None) -> Trained | None:

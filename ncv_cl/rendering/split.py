@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
 from ..integrands import DirectLight, GlobalIllumination, Integrand, IntegrandError
-from ..output.image import Image, checked_reference
+from ..output.image import Image
 from ..output.report import about_values
 from ..points.sampler import seed_words
 from ..scene.load import Scene
-from .render import render
+from ..settings.options import GROUPS, gathered
+from .render import reference_of, render
 
 # Options of a single render, which two renders cannot share.
 _ONE_RENDER = ("network", "save_network", "checkpoint", "resume", "target_mse")
@@ -46,18 +48,18 @@ def render_split(
     ValueError
         For options that one of two renders cannot have, and as `render` raises it.
     """
-    for name in _ONE_RENDER:
-        if options.get(name) is not None:
-            raise ValueError(f"{name} is for one render, and split direct light makes two: leave it out")
     whole = GlobalIllumination() if integrand == GlobalIllumination.name else integrand
     if not isinstance(whole, GlobalIllumination) or not whole.direct:
         raise IntegrandError("only integrand gi has direct light to split off")
     started = time.perf_counter()
-    reference, limit = options.pop("reference", None), options.pop("time_limit", None)
-    seed = options.pop("seed", 0)
+    # Groups and single options become single options, of which each render gets its own.
+    options = _single(options)
+    for name in _ONE_RENDER:
+        if options.get(name) is not None:
+            raise ValueError(f"{name} is for one render, and split direct light makes two: leave it out")
+    limit, seed = options.pop("time_limit"), int(options.pop("seed", 0))
     seed_words(seed)
-    if reference is not None:
-        reference = checked_reference(reference, options.get("size", (512, 512)))
+    reference = reference_of(options.pop("reference"), options.get("size", (512, 512)))
     share = None if limit is None else _DIRECT_SHARE * limit
     direct = render(scene, DirectLight(), seed=seed, time_limit=share, **options)
     rest = GlobalIllumination(whole.max_depth, direct=False, clamp=whole.clamp, guided=whole.guided)
@@ -68,6 +70,16 @@ def render_split(
     image.metadata |= {"direct": True, "split_direct": True, "seed": seed}
     about_values(image, reference)
     return image
+
+
+def _single(options: dict[str, object]) -> dict[str, object]:
+    """The options with those of groups by their own names."""
+    groups = {name: options.pop(name, None) for name in GROUPS}
+    own = {one.name for kind in GROUPS.values() for one in fields(kind)}
+    chosen = gathered(groups, {name: options.pop(name) for name in own & options.keys()})
+    for group in chosen.values():
+        options |= {one.name: getattr(group, one.name) for one in fields(group)}
+    return options
 
 
 def _sum(direct: Image, indirect: Image) -> Image:

@@ -14,6 +14,7 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal
 
 import numpy as np
@@ -47,8 +48,8 @@ class Sampling:
         differ from those by points where a ray grazes an edge. "auto": lines in direct light, where the
         triangles before the lights are known at nearly all points; else points.
     skip_dark : bool
-        Leave out points that face away from every light, whose value is zero, or compute them as well,
-        to compare.
+        Leave out points that face away from every light, whose value is zero, or, to compare,
+        compute them as well.
     """
 
     sampler: Literal["sobol", "independent"] = "sobol"
@@ -59,7 +60,10 @@ class Sampling:
 
     def __post_init__(self) -> None:
         check_choices(self)
-        check_whole("supersample", self.supersample, MOST_CELLS)
+        supersample = checked_whole("supersample", self.supersample, MOST_CELLS)
+        object.__setattr__(self, "supersample", supersample)
+        if not isinstance(self.skip_dark, (bool, np.bool_)):
+            raise ValueError(f"skip_dark must be True or False, got {self.skip_dark!r}")
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ class Training:
         check_choices(self)
         if self.train_spp != "auto":
             check_real("train_spp", self.train_spp, MOST_SAMPLES, " or 'auto'")
-        if self.preset not in PRESETS:
+        if not isinstance(self.preset, str) or self.preset not in PRESETS:
             raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
 
 
@@ -123,6 +127,8 @@ class Stopping:
         for name in ("target_mse", "time_limit"):
             if getattr(self, name) is not None:
                 check_real(name, getattr(self, name), math.inf)
+        if self.stop is not None and not callable(self.stop):
+            raise ValueError(f"stop must be a function that says whether to end, got {self.stop!r}")
 
 
 @dataclass(frozen=True)
@@ -164,7 +170,7 @@ class Machine:
 
     def __post_init__(self) -> None:
         if self.threads is not None:
-            check_whole("threads", self.threads, MOST_CELLS)
+            object.__setattr__(self, "threads", checked_whole("threads", self.threads, MOST_CELLS))
 
 
 GROUPS: dict[str, type[Any]] = {
@@ -230,17 +236,20 @@ def check_choices(group: Any) -> None:
     for one in dataclasses.fields(group):
         value, choices = getattr(group, one.name), choices_of(hints[one.name])
         numeric = float in typing.get_args(hints[one.name])
-        if choices and not numeric and value is not None and value not in choices:
+        if not choices or numeric or (value is None and NoneType in typing.get_args(hints[one.name])):
+            continue
+        if not isinstance(value, str) or value not in choices:
             raise ValueError(f"{one.name} must be one of {', '.join(choices)}, got {value!r}")
 
 
-def check_whole(name: str, value: object, most: int) -> None:
-    """Raise for anything but a whole number from 1 to `most`."""
+def checked_whole(name: str, value: object, most: int) -> int:
+    """A whole number from 1 to `most`, whatever type of number it was; raises for anything else."""
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     if not is_number or not 1 <= value <= most or int(value) != value:
         raise ValueError(
             f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}"
         )
+    return int(value)
 
 
 def check_real(name: str, value: object, most: float, other: str = "") -> None:

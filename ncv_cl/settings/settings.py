@@ -11,7 +11,16 @@ import numpy as np
 from ..integrands import Integrand
 from ..network.network import Network
 from ..points.sampler import HostStream, host_generator, seed_words
-from .options import MOST_CELLS, MOST_SAMPLES, Files, Sampling, Stopping, Training, changed, check_whole
+from .options import (
+    MOST_CELLS,
+    MOST_SAMPLES,
+    Files,
+    Sampling,
+    Stopping,
+    Training,
+    changed,
+    checked_whole,
+)
 from .presets import PRESETS, Preset
 
 METHODS = ("auto", "ncv", "mc")
@@ -39,19 +48,20 @@ class Settings:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        check_whole("spp", self.spp, MOST_SAMPLES)
-        if not isinstance(self.size, (tuple, list)) or len(self.size) != 2:
+        object.__setattr__(self, "spp", checked_whole("spp", self.spp, MOST_SAMPLES))
+        if not isinstance(self.size, (tuple, list, np.ndarray)) or len(self.size) != 2:
             raise ValueError(f"size must be a width and a height, got {self.size!r}")
-        for name, value in (("size[0]", self.size[0]), ("size[1]", self.size[1])):
-            check_whole(name, value, MOST_CELLS)
+        size = tuple(checked_whole(f"size[{k}]", self.size[k], MOST_CELLS) for k in (0, 1))
+        object.__setattr__(self, "size", size)
         if self.columns * self.rows > MOST_CELLS:
             raise ValueError(
                 f"size {self.size[0]} x {self.size[1]} with supersample {self.sampling.supersample} "
                 f"makes more than {MOST_CELLS} sub-pixels"
             )
         seed_words(self.seed)
+        object.__setattr__(self, "seed", int(self.seed))
         self._check_method()
-        by_lines = self.integrand.along_lines or self.integrand.sliced
+        by_lines = self.integrand.promises("along_lines") or self.integrand.promises("sliced")
         if self.sampling.visibility == "lines" and not by_lines:
             raise ValueError(
                 f"visibility 'lines' is for integrands direct and ao: {self.integrand.name} has no "
@@ -60,7 +70,9 @@ class Settings:
 
     def _check_method(self) -> None:
         """Raise for options that have no effect with this method."""
-        allocation = self.sampling.allocation
+        allocation, training = self.sampling.allocation, self.training
+        if training.network is not None and training.train_spp != "auto":
+            raise ValueError("train_spp has no effect where a network is given: leave one of them out")
         if self.method != "mc":
             if allocation == "pilot":
                 raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
