@@ -38,7 +38,8 @@ def short_passes(monkeypatch):
 
 
 def picture(scenes, device, **options):
-    chosen = fitting(**{"method": "ncv", "train_spp": 4, **OPTIONS, **options})
+    trained = {} if "network" in options else {"train_spp": 4}
+    chosen = fitting(**{"method": "ncv", **trained, **OPTIONS, **options})
     return render(scenes / "cornell_box.toml", "direct", device=device, **chosen)
 
 
