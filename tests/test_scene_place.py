@@ -350,8 +350,8 @@ def test_networks_know_the_world_and_not_the_scenes_origin(one_device, tmp_path)
     world = World(1e4, TURN, place=MAP)
     scene = world.scene(tmp_path)
     file = tmp_path / "network.npz"
-    options = {"size": (16, 16), "train_spp": 4, "spp": 8, "device": one_device}
-    render(scene, "direct", "ncv", save_network=file, **options)
+    options = {"size": (16, 16), "spp": 8, "device": one_device}
+    render(scene, "direct", "ncv", save_network=file, train_spp=4, **options)
     here = render(scene, "direct", "ncv", network=file, **options).layers["G"]
     step = 64.0
     elsewhere = replace(
