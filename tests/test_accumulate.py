@@ -13,7 +13,7 @@ from ncv_cl.network.network import NetworkDescription
 from ncv_cl.opencl.device import open_device, widest_vectors
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import ShadingPoints
-from ncv_cl.sampling.accumulate import Accumulator, Estimate
+from ncv_cl.sampling.accumulate import Accumulator
 from ncv_cl.sampling.samples import NO_RAY, Batch
 
 POINTS = 37
@@ -187,23 +187,3 @@ def test_only_chosen_points_are_counted(one_device):
     expected[chosen] = values[0].mean(-1)
     np.testing.assert_allclose(estimate.mean[0], expected)
     assert np.array_equal(estimate.samples, np.where(expected > 0, 4, 0))
-
-
-def test_estimates_of_other_samples_are_merged():
-    generator = np.random.default_rng(4)
-    values = generator.normal(3, 2, (2, 5, 4000))
-    counts = np.array([0, 1000, 2000, 3000, 4000])
-    parts = []
-    for of_point in (lambda n: slice(n), lambda n: slice(n, None)):
-        mean, variance = np.zeros((2, 5)), np.full((2, 5), np.nan)
-        samples = np.zeros(5)
-        for point, count in enumerate(counts):
-            own = values[:, point, of_point(count)]
-            samples[point] = own.shape[1]
-            if own.size:
-                mean[:, point], variance[:, point] = own.mean(1), own.var(1, ddof=1)
-        parts.append(Estimate(mean, variance, samples))
-    merged = parts[0].merged(parts[1])
-    np.testing.assert_array_equal(merged.samples, 4000)
-    np.testing.assert_allclose(merged.mean, values.mean(2), rtol=1e-12)
-    np.testing.assert_allclose(merged.variance, values.var(2, ddof=1), rtol=2e-3)

@@ -110,11 +110,6 @@ def estimate(samples, variance=1.0, mean=0.0):
     return Estimate(np.full(known.shape, mean), known, samples)
 
 
-def test_merging_takes_the_variance_that_is_known():
-    first, second = estimate([0, 1, 4, 1, 3], 2.0), estimate([4, 4, 1, 1, 3], 4.0)
-    np.testing.assert_array_equal(first.merged(second).variance, [[4, 4, 2, np.nan, 3]])
-
-
 def test_unknown_values_do_not_spoil_their_neighbours_mean():
     values = np.array([np.nan, 2.0, 4.0, np.nan, np.nan])
     # The first three are neighbours, the others are alone.

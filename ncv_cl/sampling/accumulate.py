@@ -55,19 +55,6 @@ class Estimate:
         """Where a point has the two samples that a variance needs, bool (points,)."""
         return self.samples > 1
 
-    def merged(self, other: Estimate) -> Estimate:
-        """The estimate from all samples of both, which must be independent of each other."""
-        samples = self.samples + other.samples
-        share = other.samples / np.maximum(samples, 1)
-        # Each variance is unbiased, and so is their mean with weights that do not depend on the values.
-        both = (1 - share) * self.variance + share * other.variance
-        one = np.where(self.known, self.variance, other.variance)
-        return Estimate(
-            (1 - share) * self.mean + share * other.mean,
-            np.where(self.known & other.known, both, one),
-            samples,
-        )
-
 
 class Accumulator:
     """Accumulates f, and f − g where a network is given, batch after batch.
