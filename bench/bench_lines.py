@@ -4,19 +4,25 @@
     python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points
     python bench/bench_lines.py network      what a control variate takes off the error of few lines
     python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
+    python bench/bench_lines.py large        scenes of many triangles: lists, seconds, to the same error
 
 Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
-of 8192 lines, and is compared with 4096 points that embree traced before anything is measured.
+of 8192 lines, and is compared with 4096 points that embree traced before anything is measured; in large
+scenes of 1024 and 512. Of these are the shipped ones whose triangles are cut, and mesh files on a plane
+(--meshes).
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
+from bench_slices import cut_in_four
 from training import SCENES
 from visibility_case import Case
 
@@ -25,13 +31,40 @@ from ncv_cl.host.clock import Stopwatch
 from ncv_cl.integrands import DirectLight
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.rendering.prepare import prepare
+from ncv_cl.sampling.problem import Problem
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
 from ncv_cl.visibility import tuning
 
 NAMES = ("cornell_box", "occluders", "knot", "interior")
 NUMBERS = (16, 64, 256, 1024)
-LADDER = (16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256, 320, 384, 512, 768, 1024)
+LADDER = (4, 8, 12, 16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256, 320, 384, 512, 768, 1024)
+# Cuts of each triangle into four.
+LARGE = (("occluders", 1), ("occluders", 3), ("knot", 2), ("knot", 3))
+MESH_CUTS = (1, 3)
+MESH_SCENE = """
+[camera]
+position = [0, 1.6, 3.2]
+target = [0, 0.5, 0]
+vertical_fov = 40
+[materials.grey]
+albedo = 0.5
+[[quads]]
+corner = [-6, 0, -6]
+edge1 = [0, 0, 12]
+edge2 = [12, 0, 0]
+material = "grey"
+[[meshes]]
+file = "{file}"
+material = "grey"
+scale = {scale}
+translate = [{x}, {y}, {z}]
+[[lights]]
+corner = [-1.5, 3.5, -1]
+edge1 = [2, 0, 0]
+edge2 = [0, 0, 2]
+radiance = [14, 13, 11]
+"""
 CONSTANTS = {
     "MOST_GAPS": (2, 4, 8, 16),
     "LINE_BLOCKS": (4, 8, 16, 32),
@@ -90,11 +123,16 @@ def network(case: Case, seeds: int) -> None:
             print(f"  {sampler} {spp}: {'; '.join(row)}", flush=True)
 
 
-def drawing(name: str, size: int, spp: int, rounds: int) -> tuple[float, float]:
-    """Least processor nanoseconds a sample, and what part of the samples no line was found for."""
-    scene = ncv.load_scene(SCENES / f"{name}.toml")
-    settings = Settings(DirectLight(), "mc", spp, (size, size), 0, Sampling(visibility="lines"))
+def prepared(scene: ncv.Scene, size: int, visibility: str = "lines") -> tuple[Problem, float]:
+    """A scene's problem, and processor seconds to prepare it."""
+    settings = Settings(DirectLight(), "mc", 1, (size, size), 0, Sampling(visibility=visibility))
+    started = time.process_time()
     problem = prepare(choose_device(None), scene, settings, None, Stopwatch())
+    return problem, time.process_time() - started
+
+
+def drawing(problem: Problem, spp: int, rounds: int) -> tuple[float, float]:
+    """Least processor nanoseconds a sample, and what part of the samples no line was found for."""
     source, least = problem.source, np.inf
     for _ in range(rounds):
         started = time.process_time()
@@ -113,10 +151,77 @@ def constants(size: int, rounds: int) -> None:
             row = []
             for name in NAMES[:3]:
                 for spp in (64, 256):
-                    nanoseconds, refused = drawing(name, size, spp, rounds)
+                    scene = ncv.load_scene(SCENES / f"{name}.toml")
+                    nanoseconds, refused = drawing(prepared(scene, size)[0], spp, rounds)
                     row.append(f"{name} {spp}: {nanoseconds:.1f} ns, {refused:.0e} refused")
             print(f"{constant} {value}: {'; '.join(row)}", flush=True)
         setattr(tuning, constant, chosen)
+
+
+def large_scenes(meshes: list[Path]) -> Iterator[tuple[str, ncv.Scene]]:
+    for name, cuts in LARGE:
+        yield name, cut(ncv.load_scene(SCENES / f"{name}.toml"), cuts)
+    for mesh in meshes:
+        for cuts in MESH_CUTS:
+            yield mesh.stem, cut(on_a_plane(mesh), cuts)
+
+
+def cut(scene: ncv.Scene, cuts: int) -> ncv.Scene:
+    for _ in range(cuts):
+        scene = cut_in_four(scene)
+    return scene
+
+
+def on_a_plane(mesh: Path) -> ncv.Scene:
+    """A mesh of extent one on a plane, under a light."""
+    with mesh.open(encoding="utf-8") as lines:
+        corners = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], float)
+    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    scale = 1 / (upper - lower).max()
+    move = -scale * (lower + upper) / 2
+    move[1] = -scale * lower[1]
+    places = dict(zip("xyz", move, strict=True))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scene.toml")
+        text = MESH_SCENE.format(file=mesh.resolve(), scale=scale, **places)
+        file.write_text(text, encoding="utf-8")
+        return ncv.load_scene(file)
+
+
+def large(name: str, scene: ncv.Scene, size: int, rounds: int) -> None:
+    kinds = ("embree", "points", "lines")
+    found = {
+        kind: min((prepared(scene, size, kind) for _ in range(2)), key=lambda x: x[1]) for kind in kinds
+    }
+    occluders = found["lines"][0].source.occluders
+    every = np.arange(found["lines"][0].points.active)
+    counts = occluders.counts(every)
+    print(
+        f"{name}, {len(scene.triangles)} triangles: {occluders.unknown} of {len(every)} points without a "
+        f"list, lists of {counts.mean():.0f} on average; prepared in "
+        + ", ".join(f"{found[kind][1]:.2f} s ({kind})" for kind in kinds),
+        flush=True,
+    )
+    for spp in (4, 16, 64, 256):
+        took = {kind: drawing(found[kind][0], spp, rounds) for kind in kinds}
+        row = ", ".join(f"{kind} {took[kind][0]:.0f}" for kind in kinds)
+        print(f"  {spp} samples a point, ns each: {row}; {took['lines'][1]:.0e} refused", flush=True)
+    case = Case(name, "direct", size, 1024, scene, 512)
+    for points in (16, 64, 256, 1024):
+        goal = case.error(case.render("points", points, 5))
+        for number in LADDER:
+            reached = case.error(case.render("lines", number, 5))
+            if reached <= goal:
+                break
+        seconds = {
+            kind: 1e-9 * spp * drawing(found[kind][0], spp, rounds)[0] * len(every)
+            for kind, spp in (("points", points), ("embree", points), ("lines", number))
+        }
+        print(
+            f"  error of {points} points {goal:.2e}: {number} lines ({reached:.2e}); processor seconds "
+            + ", ".join(f"{kind} {took:.3f}" for kind, took in seconds.items()),
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -126,13 +231,18 @@ def main() -> None:
         "network": network,
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=(*parts, "constants"))
+    parser.add_argument("part", choices=(*parts, "constants", "large"))
     parser.add_argument("--scenes", nargs="+", default=NAMES)
+    parser.add_argument("--meshes", nargs="*", type=Path, default=[], help="OBJ files for `large`")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed renders of each")
     options = parser.parse_args()
     if options.part == "constants":
         constants(options.size, options.rounds)
+        return
+    if options.part == "large":
+        for name, scene in large_scenes(options.meshes):
+            large(name, scene, options.size, options.rounds)
         return
     for name in options.scenes:
         parts[options.part](Case(name, "direct", options.size, 8192), options.rounds)

@@ -14,21 +14,33 @@ class Case:
     Parameters
     ----------
     name : str
-        Of a shipped scene.
+        Of a shipped scene, or of `scene`.
     integrand : str
     size : int
         Pixels a side.
     samples : int
-        Lines or slices of the reference, which is compared with 4096 samples traced by embree.
+        Lines or slices of the reference, which is compared with samples traced by embree.
+    scene : Scene, optional
+        Another than a shipped one.
+    judged : int
+        How many samples embree traces.
     """
 
-    def __init__(self, name: str, integrand: str, size: int, samples: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        integrand: str,
+        size: int,
+        samples: int,
+        scene: ncv.Scene | None = None,
+        judged: int = 4096,
+    ) -> None:
         self.name, self._integrand, self._size = name, integrand, size
-        self._scene = ncv.load_scene(SCENES / f"{name}.toml")
+        self._scene = scene or ncv.load_scene(SCENES / f"{name}.toml")
         self._truth = self.render("lines", samples, 991).pixels.astype(np.float64)
-        judge = self.render("embree", 4096, 992)
+        judge = self.render("embree", judged, 992)
         print(
-            f"{name}: {samples} by lines and 4096 by embree differ by {self.error(judge):.2e}; "
+            f"{name}: {samples} by lines and {judged} by embree differ by {self.error(judge):.2e}; "
             f"estimated {judge.stats['estimated_mse']:.2e}",
             flush=True,
         )

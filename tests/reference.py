@@ -312,13 +312,18 @@ def sampling(
     shadows_tested: bool = False,
     lines: bool = False,
     sliced: bool = False,
+    most: int | None = None,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
-    """Shading points of a small picture and a source of samples whose rays are recorded."""
+    """Shading points of a small picture and a source of samples whose rays are recorded.
+
+    Occluders are listed of points that have no more than `most`.
+    """
     recorder = RayRecorder(Tracer(scene, threads=2))
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
     occluders = None
     if with_occluders or lines:
-        most = most_on_lines(device) if lines else MOST_OCCLUDERS
+        usual = most_on_lines(device) if lines else MOST_OCCLUDERS
+        most = usual if most is None else most
         occluders = Occluders(device, scene, points, integrand, most)
     samples_of = sample_source(
         device, scene, recorder, points, integrand, sampler, seed, samples, occluders,

@@ -30,19 +30,21 @@ from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN
-from ncv_cl.visibility.lines import line_defines
+from ncv_cl.visibility.lines import LINE_FILES, line_defines
 
 # Of samples (u, v): whether v is in a gap of its line, and how far from the next end of one.
 KERNEL = """
 kernel void free_of_lines(const uint samples, const uint point_count, const uint total_points,
-                          const uint corner_stride, global const float *surface,
-                          global const float *lights, global const uint *starts,
-                          global const uint *lists, global const float *corners, global const float *u,
+                          const float tolerance, global const float *surface, global const float *lights,
+                          global const uint *levels, global const float *boxes,
+                          global const float *triangles, global const uint *starts,
+                          global const uint *occluders, global const float *u,
                           global const float *v, global float *is_free, global float *margin) {
   const uint blocks = samples / VEC;
   const uint point = (uint)get_global_id(0) / blocks;
   const ulong at = (ulong)get_global_id(0) * VEC;
-  if (point >= point_count || lists[starts[point]] == TOO_MANY) return;
+  if (point >= point_count) return;
+  global const uint *own = occluders + starts[point];
   const ShadingPoint p = load_shading_point(surface, total_points, point);
   real found = (real)0.0f;
   real apart = (real)FAR_AWAY;
@@ -53,7 +55,10 @@ kernel void free_of_lines(const uint samples, const uint point_count, const uint
     const LightLines lines = lines_of(&p, lights, light);
     Block block[BLOCKS_A_ITEM];
     begin_block(&lines, across, here, &block[0]);
-    cut_lines(&lines, lists + starts[point], corners, corner_stride, ray_origin(&p), 1, block);
+    if (own[0] != TOO_MANY)
+      cut_lines(&lines, own, triangles, ray_origin(&p), 1, block);
+    else
+      walk_block(&lines, levels, boxes, triangles, tolerance, ray_origin(&p), block);
     const Gaps *gaps = &block[0].gaps;
     const LightView *view = &lines.view;
     const real squared = FMA(block[0].x, block[0].x, view->z * view->z);
@@ -81,12 +86,16 @@ kernel void free_of_lines(const uint samples, const uint point_count, const uint
 
 @dataclass(frozen=True)
 class Compared:
-    """Of samples that bring light but for shadows: who sees it, and how far in v the next edge is."""
+    """Of samples that bring light but for shadows: who sees it, and how far in v the next edge is.
+
+    `walked` of the points had no list.
+    """
 
     embree: np.ndarray
     lines: np.ndarray
     margin: np.ndarray
     refused: int
+    walked: int
 
     @property
     def disagreements(self) -> np.ndarray:
@@ -94,17 +103,17 @@ class Compared:
         return self.margin[self.embree != self.lines]
 
 
-def compared(device, scene, size=(12, 10), samples=64) -> Compared:
+def compared(device, scene, size=(12, 10), samples=64, most=None) -> Compared:
     points, source, _ = sampling(device, scene, DirectLight(), size, samples)
     arrays = batch_arrays(batch := source.draw(range(points.active), range(samples), 0), 3)
     embree = (shadowed_values(batch, 3) > 0).any(axis=0)
     live = (arrays["value"] > 0).any(axis=0)
-    _, on_lines, _ = sampling(device, scene, DirectLight(), size, samples, lines=True)
+    _, on_lines, _ = sampling(device, scene, DirectLight(), size, samples, lines=True, most=most)
     occluders = on_lines.occluders
     defines = {
         **surface_defines(), **occluders.defines(), **line_defines(), **DirectLight().defines(scene),
     }  # fmt: skip
-    files = ("common", "surface", "bsdf", "lights", "shaft", "gaps", "lines")
+    files = ("common", "surface", "bsdf", "lights", "shaft", *LINE_FILES)
     kernel = bare_kernel(device, files, defines, KERNEL, "free_of_lines")
     found = [HostArray(device, live.shape, np.float32) for _ in range(2)]
     kernel(
@@ -112,25 +121,19 @@ def compared(device, scene, size=(12, 10), samples=64) -> Compared:
         samples=samples,
         point_count=points.active,
         total_points=points.total,
-        corner_stride=occluders.stride,
         surface=points.surface,
         lights=HostArray.of(device, DirectLight().data(scene)),
-        starts=occluders.starts,
-        lists=occluders.lists,
-        corners=occluders.corners,
+        **occluders.arguments,
+        **occluders.walked,
         u=HostArray.of(device, arrays["u"]),
         v=HostArray.of(device, arrays["v"]),
         is_free=found[0],
         margin=found[1],
     )
     is_free, margin = (array.read() for array in found)
-    known = np.array([occluders.list_of(point) is not None for point in range(points.active)])
-    asked = live & known[:, None] & (is_free < 2)
+    asked = live & (is_free < 2)
     return Compared(
-        embree[asked],
-        is_free[asked] == 1,
-        margin[asked],
-        int((is_free[live & known[:, None]] == 2).sum()),
+        embree[asked], is_free[asked] == 1, margin[asked], int((is_free[live] == 2).sum()), occluders.unknown
     )
 
 

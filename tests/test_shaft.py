@@ -80,7 +80,7 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     assert source.occluders.unknown == np.count_nonzero(~known)
     counts = source.occluders.counts(np.arange(points.active))
     assert [len(one) for one in lists if one is not None] == counts[known].tolist()
-    corners = source.occluders.corners.read()[:, : len(scene.triangles)]
+    corners = source.occluders.hierarchy.triangles.read().transpose(0, 2, 1).reshape(-1, 3, 3)
     batch = source.draw(range(points.active), range(32), 0)
     uv = np.stack([a.read()[: points.active * 32].reshape(-1, 32) for a in (batch.u, batch.v)])
     light = scene.lights[0]
@@ -95,7 +95,7 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     assert 0 < len(known) < points.active
     blocked = 0
     for point in known:
-        own = corners[:, lists[point]].T.reshape(-1, 3, 3)
+        own = corners[lists[point]]
         start = np.repeat(origin[point][None].astype(float), 32, 0)
         triangle, _, _, distance = intersect(scene, start, ends[point] - start)
         for index in np.unique(triangle[lit[point] & (triangle >= 0) & (distance < 0.9999)]):

@@ -71,6 +71,32 @@ bool any_lane(const whole condition) {
 }
 #endif
 
+/* A bit for each lane where a comparison holds. */
+#if VEC == 1
+uint lane_mask(const whole condition) { return condition != 0 ? 1u : 0u; }
+#else
+uint lane_mask(const whole condition) {
+  const bits own = SELECT((bits)0u, (bits)1u << LANE_NUMBER, condition);
+#if VEC == 16
+  const uint8 b8 = own.lo | own.hi;
+  const uint4 b4 = b8.lo | b8.hi;
+#elif VEC == 8
+  const uint4 b4 = own.lo | own.hi;
+#else
+  const uint4 b4 = own;
+#endif
+  const uint2 b2 = b4.lo | b4.hi;
+  return b2.x | b2.y;
+}
+#endif
+
+/* Takes the lowest bit out of `found`, and returns its number. */
+uint take_lowest(uint *found) {
+  const uint lowest = *found & (~*found + 1u);
+  *found ^= lowest;
+  return 31u - clz(lowest);
+}
+
 /* Sum over the VEC samples of a work-item, always in the same order. */
 float sum_lanes(const real x) {
 #if VEC == 1

@@ -39,8 +39,11 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
                          global const uint *restrict density, global float *restrict weight,
 #endif
 #if SHAFTS
-                         const uint corner_stride, global const uint *restrict starts,
-                         global const uint *restrict occluders, global const float *restrict corners,
+                         global const uint *restrict starts, global const uint *restrict occluders,
+                         global const float *restrict triangles,
+#endif
+#if LINES
+                         const float tolerance, global const uint *restrict levels, global const float *restrict boxes,
 #endif
 #if SLICES
                          const float unit, global const uint *restrict levels, global const float *restrict boxes,
@@ -90,19 +93,16 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     share[k] = 1.0f;
     refused[k] = 0;
   }
-  const bool moves = own_occluders[0] != TOO_MANY && own_occluders[0] > 0;
+  const bool moves = own_occluders[0] > 0;
   if (moves)
-    take_visible(&p, integrand_data, own_occluders, corners, corner_stride, own_blocks, sample_u, sample_v, share,
-                 refused);
+    take_visible(&p, integrand_data, own_occluders, levels, boxes, triangles, tolerance, own_blocks, sample_u, sample_v,
+                 share, refused);
 #endif
 
   real direction[BLOCKS_A_ITEM][3];
   real distance[BLOCKS_A_ITEM];
   whole live[BLOCKS_A_ITEM];
   uint count = 0;
-#if SLICES
-  uint answered = 0;
-#endif
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
     const uint block = first_block + k * items_a_point;
     live[k] = (whole)0;
@@ -133,28 +133,23 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
       live[k] = live[k] || (fabs(sample_value[channel]) > 0.0f);
       STORE(sample_value[channel], value + channel * plane + at);
     }
-#if SLICES
     STORE(SELECT((bits)NO_RAY, (bits)SEEN, live[k]), slot + at);
-    answered += popcount(lane_mask(live[k] && !refused));
+    count += popcount(lane_mask(live[k]));
+#if SLICES
     live[k] = live[k] && refused;
 #endif
-    count += (uint)sum_lanes(SELECT((real)0.0f, (real)1.0f, live[k]));
   }
-#if SLICES
-  if (answered > 0) atomic_add(ray_count + 1, answered);
-  if (count == 0) return;
-#endif
 
   const float3 origin = ray_origin(&p);
 #if SHAFTS
   if (own_occluders[0] != TOO_MANY) {
 #if LINES
     /* What was moved to where it sees the light needs no test. */
-    const uint untested = moves ? test_refused(own_occluders, corners, corner_stride, origin, direction, refused, live) : 0;
+    const uint untested = moves ? test_refused(own_occluders, triangles, origin, direction, refused, live) : 0;
     if (untested > 0) atomic_add(ray_count + 2, untested);
     if (!moves)
 #endif
-      close_blocked(own_occluders, corners, corner_stride, origin, direction, live);
+      close_blocked(own_occluders, triangles, origin, direction, live);
     for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
       const uint block = first_block + k * items_a_point;
       if (block < blocks)
@@ -164,7 +159,23 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     return;
   }
 #endif
-  uint next = count > 0 ? atomic_add(ray_count, count) : 0u;
+#if SLICES || LINES
+  uint rays = 0;
+  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
+#if LINES
+    live[k] = live[k] && LOAD(refused + k * VEC);
+#endif
+    rays += popcount(lane_mask(live[k]));
+  }
+#if LINES
+  if (rays > 0) atomic_add(ray_count + 2, rays);
+#endif
+  if (count > rays) atomic_add(ray_count + 1, count - rays);
+  if (rays == 0) return;
+#else
+  const uint rays = count;
+#endif
+  uint next = rays > 0 ? atomic_add(ray_count, rays) : 0u;
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
     const uint block = first_block + k * items_a_point;
     if (block >= blocks) continue;
@@ -176,17 +187,11 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     STORE(distance[k], ray[3]);
     STORE(live[k], is_live);
     for (uint lane = 0; lane < VEC; ++lane) {
-#if SLICES
-      uint own = slot[(ulong)local_point * stride + block * VEC + lane];
-#else
-      uint own = NO_RAY;
-#endif
-      if (is_live[lane] != 0) {
-        own = next++;
-        vstore3(origin, own, origins);
-        vstore3((float3)(ray[0][lane], ray[1][lane], ray[2][lane]), own, directions);
-        distances[own] = ray[3][lane];
-      }
+      if (is_live[lane] == 0) continue;
+      const uint own = next++;
+      vstore3(origin, own, origins);
+      vstore3((float3)(ray[0][lane], ray[1][lane], ray[2][lane]), own, directions);
+      distances[own] = ray[3][lane];
       slot[(ulong)local_point * stride + block * VEC + lane] = own;
     }
   }

@@ -1,9 +1,8 @@
 /* Shadow rays without a ray tracer: the few triangles that can stand between a point and a light.
  *
  * All shadow rays of a shading point start at one place and end on a light: they fill a pyramid, the shaft.
- * find_occluders looks once for the triangles that reach into a point's shafts, in boxes of boxes of boxes of BRANCH
- * triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
- * samples are tested against these (Haines and Wallace 1991, shaft culling); other points leave their rays to the host.
+ * find_occluders looks once for the triangles that reach into a point's shafts, in boxes of boxes of triangles. Most points find none, and all their samples see the light; where there are MOST_OCCLUDERS at most,
+ * samples are tested against these (Haines and Wallace 1991, shaft culling); other points have no list.
  *
  * Planes of a shaft, relative to the ray's origin: four through the origin and a side of the light, the
  * light's and the surface's own. A triangle all of whose corners lie outside one plane by more than
@@ -15,10 +14,11 @@
  * the other's number with its sign turned, so no ray slips through between them. The ray meets the plane before
  * its end at d if a.(b x c) lies between 0 and the sum of the three.
  *
- * Memory layout: `boxes`: planes of box_stride floats: lower x, y, z, upper x, y, z; the boxes of triangles, then
- * those of these boxes, then those of these (first_1, first_2). Box k of a level holds number k * BRANCH and on
- * of the level below. `corners`: planes of corner_stride floats, x, y, z of each triangle's corner 0, then 1,
- * then 2. `occluders`: lists one after another, each how many triangles (TOO_MANY: not known) and which; a point's
+ * Memory layout: `levels`, `boxes` and `triangles` as hierarchy.py lays them out: boxes of boxes of CHILDREN triangles,
+ * implicit: box k of a level holds numbers k * CHILDREN and on of the level below. A node is CHILDREN boxes, six rows of
+ * CHILDREN floats: lower x, y, z, upper x, y, z; node k of level l is number levels[l] + k. A leaf is CHILDREN triangles, nine
+ * rows: x, y, z of corner 0, then 1, then 2. What fills up a node or a leaf is empty.
+ * `occluders`: lists one after another, each how many triangles (TOO_MANY: not known) and which; a point's
  * begins at its number in `starts`. The first two words are the lists of all points that have too many, and of all that
  * have none. `lengths`: how many; `cursor`: where the next list begins, in whatever order points are done.
  *
@@ -27,6 +27,8 @@
  */
 
 #define SHAFT_PLANES 6
+#define NODE_FLOATS (6 * CHILDREN)
+#define LEAF_FLOATS (9 * CHILDREN)
 
 /* Outside where normal . x > limit. */
 typedef struct {
@@ -64,72 +66,58 @@ void shaft_planes(const ShadingPoint *p, global const float *restrict light, con
   plane[5].limit = 0.5f * p->offset;
 }
 
-real row_at(global const float *restrict rows, const uint row, const uint stride, const uint at) {
-  return LOAD(rows + row * (ulong)stride + at);
-}
-
-/* Which of the boxes first .. min(first + BRANCH, end) reach into the shaft: a bit each. */
-uint boxes_in_shaft(const Plane *plane, const float3 origin, global const float *restrict boxes, const uint stride,
-                    const uint first, const uint end) {
+/* Which boxes of a node reach into the shaft: a bit each. */
+uint boxes_in_shaft(const Plane plane[SHAFT_PLANES], const float3 origin, global const float *restrict node) {
   uint found = 0;
-  for (uint block = 0; block < BRANCH && first + block < end; block += VEC) {
-    const uint at = first + block;
-    const real low_x = row_at(boxes, 0, stride, at) - origin.x;
-    const real low_y = row_at(boxes, 1, stride, at) - origin.y;
-    const real low_z = row_at(boxes, 2, stride, at) - origin.z;
-    const real high_x = row_at(boxes, 3, stride, at) - origin.x;
-    const real high_y = row_at(boxes, 4, stride, at) - origin.y;
-    const real high_z = row_at(boxes, 5, stride, at) - origin.z;
-    whole inside = LANE_NUMBER + at < (bits)end;
+  for (uint block = 0; block < CHILDREN; block += VEC) {
+    global const float *restrict boxes = node + block;
+    whole inside = (whole)-1;
     for (int k = 0; k < SHAFT_PLANES; ++k) {
       const float3 n = plane[k].normal;
-      const real least = min(n.x * low_x, n.x * high_x) + min(n.y * low_y, n.y * high_y) +
-                         min(n.z * low_z, n.z * high_z);
+      const real x = LOAD(boxes + (n.x >= 0.0f ? 0u : 3u) * CHILDREN) - origin.x;
+      const real y = LOAD(boxes + (n.y >= 0.0f ? 1u : 4u) * CHILDREN) - origin.y;
+      const real z = LOAD(boxes + (n.z >= 0.0f ? 2u : 5u) * CHILDREN) - origin.z;
+      const real least = FMA((real)n.x, x, FMA((real)n.y, y, n.z * z));
       inside = inside && (least <= plane[k].limit);
     }
-    int is_inside[VEC];
-    STORE(inside, is_inside);
-    for (uint lane = 0; lane < VEC; ++lane) found |= (is_inside[lane] != 0 ? 1u : 0u) << (block + lane);
+    found |= lane_mask(inside) << block;
   }
   return found;
 }
 
-/* The same of triangles. */
-uint triangles_in_shaft(const Plane *plane, const float3 origin, global const float *restrict corners,
-                        const uint stride, const uint first, const uint end) {
+/* Corner `c` of VEC triangles of a leaf, from the origin. */
+triple leaf_corner(global const float *restrict leaf, const uint c, const float3 origin) {
+  global const float *restrict rows = leaf + 3 * c * CHILDREN;
+  return (triple){LOAD(rows) - origin.x, LOAD(rows + CHILDREN) - origin.y, LOAD(rows + 2 * CHILDREN) - origin.z};
+}
+
+/* Which triangles of a leaf reach into the shaft. */
+uint triangles_in_shaft(const Plane plane[SHAFT_PLANES], const float3 origin, global const float *restrict leaf) {
   uint found = 0;
-  for (uint block = 0; block < BRANCH && first + block < end; block += VEC) {
-    const uint at = first + block;
-    real x[9];
-    for (uint k = 0; k < 3; ++k) {
-      x[3 * k] = row_at(corners, 3 * k, stride, at) - origin.x;
-      x[3 * k + 1] = row_at(corners, 3 * k + 1, stride, at) - origin.y;
-      x[3 * k + 2] = row_at(corners, 3 * k + 2, stride, at) - origin.z;
-    }
-    whole inside = LANE_NUMBER + at < (bits)end;
+  for (uint block = 0; block < CHILDREN; block += VEC) {
+    triple corner[3];
+    for (uint c = 0; c < 3; ++c) corner[c] = leaf_corner(leaf + block, c, origin);
+    whole inside = (whole)-1;
     for (int k = 0; k < SHAFT_PLANES; ++k) {
-      const float3 n = plane[k].normal;
-      const real first_corner = n.x * x[0] + n.y * x[1] + n.z * x[2];
-      const real second = n.x * x[3] + n.y * x[4] + n.z * x[5];
-      const real third = n.x * x[6] + n.y * x[7] + n.z * x[8];
-      inside = inside && (min(first_corner, min(second, third)) <= plane[k].limit);
+      const triple n = to_triple(plane[k].normal);
+      const real first = dot_triple(n, corner[0]);
+      const real second = dot_triple(n, corner[1]);
+      const real third = dot_triple(n, corner[2]);
+      inside = inside && (min(first, min(second, third)) <= plane[k].limit);
     }
-    int is_inside[VEC];
-    STORE(inside, is_inside);
-    for (uint lane = 0; lane < VEC; ++lane) found |= (is_inside[lane] != 0 ? 1u : 0u) << (block + lane);
+    found |= lane_mask(inside) << block;
   }
   return found;
 }
 
 /* Which boxes reach into some shaft: of each light's only if their parent, number `bit` of its level, does. */
-uint boxes_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, global const float *restrict boxes,
-                     const uint stride, const uint first, const uint end, const uint parents[LIGHT_COUNT],
-                     const uint bit, uint found[LIGHT_COUNT]) {
+uint boxes_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin,
+                     global const float *restrict node, const uint parents[LIGHT_COUNT], const uint bit,
+                     uint found[LIGHT_COUNT]) {
   uint any = 0;
   for (uint light = 0; light < LIGHT_COUNT; ++light) {
     found[light] = 0;
-    if ((parents[light] >> bit & 1u) != 0)
-      found[light] = boxes_in_shaft(plane[light], origin, boxes, stride, first, end);
+    if ((parents[light] >> bit & 1u) != 0) found[light] = boxes_in_shaft(plane[light], origin, node);
     any |= found[light];
   }
   return any;
@@ -137,69 +125,62 @@ uint boxes_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 
 
 /* The same of triangles. */
 uint triangles_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin,
-                         global const float *restrict corners, const uint stride, const uint first, const uint end,
-                         const uint parents[LIGHT_COUNT], const uint bit) {
+                         global const float *restrict leaf, const uint parents[LIGHT_COUNT], const uint bit) {
   uint any = 0;
   for (uint light = 0; light < LIGHT_COUNT; ++light)
-    if ((parents[light] >> bit & 1u) != 0)
-      any |= triangles_in_shaft(plane[light], origin, corners, stride, first, end);
+    if ((parents[light] >> bit & 1u) != 0) any |= triangles_in_shaft(plane[light], origin, leaf);
   return any;
 }
 
-/* Adds those of `found`, numbered from `first`, to the list; returns its length, TOO_MANY if they do not fit. */
-uint list_occluders(const uint found, const uint first, const uint most, const uint before, uint own[MOST_OCCLUDERS]) {
-  uint count = before;
-  for (uint bit = 0; found >> bit != 0; ++bit) {
-    if ((found >> bit & 1u) == 0) continue;
-    if (count == most) return TOO_MANY;
-    own[count++] = first + bit;
+/* Lists the triangles that reach into some shaft; returns how many, TOO_MANY if more than `most`. */
+uint list_occluders(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, const uint most,
+                    const uint triangle_count, global const uint *restrict levels, global const float *restrict boxes,
+                    global const float *restrict triangles, uint own[MOST_OCCLUDERS]) {
+  uint in_shaft[BOX_LEVELS][LIGHT_COUNT], found[BOX_LEVELS], node[BOX_LEVELS];
+  uint all[LIGHT_COUNT];
+  for (uint light = 0; light < LIGHT_COUNT; ++light) all[light] = 1u;
+  uint level = BOX_LEVELS - 1;
+  uint count = 0;
+  node[level] = 0;
+  found[level] = boxes_in_shafts(plane, origin, boxes + levels[level] * (ulong)NODE_FLOATS, all, 0, in_shaft[level]);
+  while (true) {
+    while (found[level] == 0)
+      if (++level == BOX_LEVELS) return count;
+    const uint bit = take_lowest(&found[level]);
+    const uint child = node[level] * CHILDREN + bit;
+    if (level > 0) {
+      node[--level] = child;
+      found[level] = boxes_in_shafts(plane, origin, boxes + (levels[level] + child) * (ulong)NODE_FLOATS,
+                                     in_shaft[level + 1], bit, in_shaft[level]);
+      continue;
+    }
+    uint met = triangles_in_shafts(plane, origin, triangles + child * (ulong)LEAF_FLOATS, in_shaft[0], bit);
+    while (met != 0) {
+      const uint triangle = child * CHILDREN + take_lowest(&met);
+      /* The last leaf is filled up. */
+      if (triangle >= triangle_count) break;
+      if (count == most) return TOO_MANY;
+      own[count++] = triangle;
+    }
   }
-  return count;
 }
 
 kernel void find_occluders(const uint point_count, const uint total_points, const float tolerance,
-                           const uint triangle_count, const uint corner_stride, const uint box_stride,
-                           const uint count_0, const uint first_1, const uint count_1, const uint first_2,
-                           const uint count_2, const uint most, const uint capacity,
+                           const uint triangle_count, const uint most, const uint capacity,
                            global const float *restrict surface, global const float *restrict lights,
-                           global const float *restrict boxes, global const float *restrict corners,
-                           global uint *restrict occluders, global uint *restrict starts,
-                           global uint *restrict lengths, volatile global uint *restrict cursor) {
+                           global const uint *restrict levels, global const float *restrict boxes,
+                           global const float *restrict triangles, global uint *restrict occluders,
+                           global uint *restrict starts, global uint *restrict lengths,
+                           volatile global uint *restrict cursor) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
-  const float3 origin = ray_origin(&p);
   Plane plane[LIGHT_COUNT][SHAFT_PLANES];
-  uint all[LIGHT_COUNT];
-  for (uint light = 0; light < LIGHT_COUNT; ++light) {
+  for (uint light = 0; light < LIGHT_COUNT; ++light)
     shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane[light]);
-    all[light] = 1u;
-  }
   uint own[MOST_OCCLUDERS];
-  uint in_top[LIGHT_COUNT], in_middle[LIGHT_COUNT], in_bottom[LIGHT_COUNT];
-  uint count = 0;
-  for (uint top = 0; top < count_2 && count != TOO_MANY; top += BRANCH) {
-    const uint tops = boxes_in_shafts(plane, origin, boxes + first_2, box_stride, top, count_2, all, 0, in_top);
-    for (uint i = 0; tops >> i != 0 && count != TOO_MANY; ++i) {
-      if ((tops >> i & 1u) == 0) continue;
-      const uint middle = (top + i) * BRANCH;
-      const uint middles =
-          boxes_in_shafts(plane, origin, boxes + first_1, box_stride, middle, count_1, in_top, i, in_middle);
-      for (uint j = 0; middles >> j != 0 && count != TOO_MANY; ++j) {
-        if ((middles >> j & 1u) == 0) continue;
-        const uint bottom = (middle + j) * BRANCH;
-        const uint bottoms =
-            boxes_in_shafts(plane, origin, boxes, box_stride, bottom, count_0, in_middle, j, in_bottom);
-        for (uint k = 0; bottoms >> k != 0 && count != TOO_MANY; ++k) {
-          if ((bottoms >> k & 1u) == 0) continue;
-          const uint first = (bottom + k) * BRANCH;
-          const uint found =
-              triangles_in_shafts(plane, origin, corners, corner_stride, first, triangle_count, in_bottom, k);
-          count = list_occluders(found, first, most, count, own);
-        }
-      }
-    }
-  }
+  const uint count =
+      list_occluders(plane, ray_origin(&p), most, triangle_count, levels, boxes, triangles, own);
   lengths[point] = count;
   if (point == 0) {
     occluders[0] = TOO_MANY;
@@ -230,12 +211,12 @@ typedef struct {
   float volume;
 } Occluder;
 
-Occluder occluder_of(const uint triangle, global const float *restrict corners, const uint stride,
-                     const float3 origin) {
+Occluder occluder_of(const uint triangle, global const float *restrict triangles, const float3 origin) {
+  global const float *restrict rows = triangles + triangle / CHILDREN * (ulong)LEAF_FLOATS + triangle % CHILDREN;
   float3 corner[3];
   for (uint c = 0; c < 3; ++c) {
-    const ulong at = 3 * c * (ulong)stride + triangle;
-    corner[c] = (float3)(corners[at], corners[at + stride], corners[at + 2 * (ulong)stride]) - origin;
+    corner[c] = (float3)(rows[0], rows[CHILDREN], rows[2 * CHILDREN]) - origin;
+    rows += 3 * CHILDREN;
   }
   Occluder found;
   found.edge[0] = exact_cross(corner[1], corner[2]);
@@ -263,12 +244,12 @@ whole is_blocked(const Occluder *occluder, const real direction[3]) {
 
 /* Takes from `open` the rays that one of the point's occluders blocks, BLOCKS_A_ITEM blocks of VEC rays: a triangle's
  * own arithmetic is done once for all of them. */
-void close_blocked(global const uint *restrict own, global const float *restrict corners, const uint stride,
-                   const float3 origin, const real direction[BLOCKS_A_ITEM][3], whole open[BLOCKS_A_ITEM]) {
+void close_blocked(global const uint *restrict own, global const float *restrict triangles, const float3 origin,
+                   const real direction[BLOCKS_A_ITEM][3], whole open[BLOCKS_A_ITEM]) {
   const uint count = own[0];
   whole any_open = (whole)-1;
   for (uint k = 1; k <= count && ANY(any_open); ++k) {
-    const Occluder occluder = occluder_of(own[k], corners, stride, origin);
+    const Occluder occluder = occluder_of(own[k], triangles, origin);
     any_open = (whole)0;
 #pragma unroll
     for (uint block = 0; block < BLOCKS_A_ITEM; ++block) {

@@ -16,7 +16,7 @@ from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
-from ..visibility.lines import line_defines
+from ..visibility.lines import LINE_FILES, line_defines
 from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from .warp import Warp
@@ -160,7 +160,7 @@ class SampleSource(Batches):
     occluders : Occluders, optional
         What decides visibility where it is known; by default embree decides all.
     lines : bool
-        Whether samples at points whose occluders are known lie where lines see the lights.
+        Whether samples lie where lines see the lights.
     slices : Slices, optional
         Samples are whole slices of the hemisphere; the integrand must be `sliced`.
     """
@@ -200,14 +200,10 @@ class SampleSource(Batches):
         self._occluders: dict[str, object] = {}
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
+            self._occluders = occluders.arguments
             if lines:
-                shaft, defines = ("shaft", "gaps", "lines"), {**defines, **line_defines()}
-            self._occluders = {
-                "corner_stride": occluders.stride,
-                "starts": occluders.starts,
-                "occluders": occluders.lists,
-                "corners": occluders.corners,
-            }
+                shaft, defines = ("shaft", *LINE_FILES), {**defines, **line_defines()}
+                self._occluders = {**occluders.arguments, **occluders.walked}
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
             self._occluders = slices.arguments

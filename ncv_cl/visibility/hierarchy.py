@@ -4,12 +4,48 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..opencl.device import Device
+from ..opencl.memory import HostArray
+from ..scene.load import Scene
 from . import tuning
 
 # Children of a box; a whole number of vectors on every device.
 CHILDREN = 16
 # Bounds of what fills up a node: no plane crosses a box that is inside out.
 EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
+
+
+class Hierarchy:
+    """A scene's triangles in boxes of boxes, as shaft.cl and walk.cl read them.
+
+    Parameters
+    ----------
+    device, scene
+
+    Attributes
+    ----------
+    levels : HostArray
+        uint32, each level's first node, lowest first.
+    boxes : HostArray
+        float32 (nodes, 6, CHILDREN).
+    triangles : HostArray
+        float32 (leaves, 9, CHILDREN): x, y, z of corner 0, then 1, then 2.
+    """
+
+    def __init__(self, device: Device, scene: Scene) -> None:
+        corners = scene.vertices[scene.triangles].astype(np.float32)
+        lower, upper = corners.min(axis=1), corners.max(axis=1)
+        order = packed_order(lower, upper)
+        levels = box_levels(lower[order], upper[order])
+        firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
+        self.levels = HostArray.of(device, firsts.astype(np.uint32))
+        self.boxes = HostArray.of(device, np.concatenate(levels))
+        # What fills up a leaf is without extent: nothing is behind it.
+        self.triangles = HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0)))
+
+    def defines(self) -> dict[str, str]:
+        """The `-D` constants of kernels that walk it."""
+        return {"CHILDREN": f"{CHILDREN}u", "BOX_LEVELS": f"{self.levels.shape[0]}u"}
 
 
 def packed_order(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

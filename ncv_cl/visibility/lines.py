@@ -5,6 +5,9 @@ from __future__ import annotations
 from ..opencl.device import Device
 from . import tuning
 
+# Kernel files of samples along lines, after that of shafts.
+LINE_FILES = ("gaps", "lines", "walk", "along")
+
 # Occluders that are listed at most for a point: by work-items of vectors, and by a GPU's many, each of
 # which has its list at hand while it looks for them. No point of the shipped scenes has more than 848;
 # where all triangles of occluders are cut into four, lines still pay, and none has more than 4095.

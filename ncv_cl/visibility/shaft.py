@@ -11,9 +11,8 @@ from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
 from . import tuning
+from .hierarchy import Hierarchy
 
-# Children of a box.
-BRANCH = 16
 # Triangles that are tested at most, fewer where all lists together do not fit their memory; points that
 # have more in their shafts leave their rays to embree.
 MOST_OCCLUDERS = 63
@@ -21,8 +20,9 @@ MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
 # The lists of all points that have too many, and of all that have none.
 COMMON_LISTS = 2
-# What rounding moves corners and planes by, of the largest coordinate.
-TOLERANCE = 16 * 2.0**-24
+# What rounding moves corners, boxes and planes by, of the largest coordinate: six roundings of sums of up
+# to 2 * 3^0.5.
+TOLERANCE = 24 * 2.0**-24
 
 
 def shafts_pay(scene: Scene) -> bool:
@@ -45,8 +45,10 @@ class Occluders:
     ----------
     lists, starts : HostArray
         uint32, the lists one after another as shaft.cl lays them out, and where each point's begins.
-    corners : HostArray
-        float32 (9, stride), corners of the triangles that the lists name.
+    hierarchy : Hierarchy
+        Of the triangles that the lists name.
+    arguments, walked : dict
+        Those of kernels that read lists, and more of those that walk the hierarchy, by name.
     """
 
     def __init__(
@@ -57,21 +59,22 @@ class Occluders:
         integrand: Integrand,
         most: int = MOST_OCCLUDERS,
     ) -> None:
-        corners = scene.vertices[scene.triangles].astype(np.float32)
-        corners = corners[_along_curve(corners.mean(axis=1))]
-        self.corners = HostArray.of(device, _rows(corners.reshape(-1, 9)))
-        levels = [_boxes_of(corners.min(axis=1), corners.max(axis=1))]
-        for _ in range(2):
-            levels.append(_boxes_of(*levels[-1]))
-        counts = [len(lower) for lower, _ in levels]
-        firsts = [0, *np.cumsum([-(-count // BRANCH) * BRANCH for count in counts]).tolist()]
-        rows = np.concatenate([_rows(np.concatenate(level, axis=1)) for level in levels], axis=1)
-        boxes = HostArray.of(device, rows)
+        self.hierarchy = Hierarchy(device, scene)
         # No triangle is listed twice.
         self._most = self._room = most
-        words = COMMON_LISTS + points.active * (min(most, len(corners)) + 1)
+        words = COMMON_LISTS + points.active * (min(most, len(scene.triangles)) + 1)
         self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
         self.starts = HostArray(device, points.active, np.uint32)
+        self.arguments = {
+            "starts": self.starts,
+            "occluders": self.lists,
+            "triangles": self.hierarchy.triangles,
+        }
+        self.walked = {
+            "levels": self.hierarchy.levels,
+            "boxes": self.hierarchy.boxes,
+            "tolerance": TOLERANCE * float(np.abs(scene.bounds).max()),
+        }
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
         find = build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")
         lights = HostArray.of(device, integrand.data(scene))
@@ -84,23 +87,13 @@ class Occluders:
                 points.active,
                 point_count=points.active,
                 total_points=points.total,
-                tolerance=TOLERANCE * float(np.abs(scene.bounds).max()),
-                triangle_count=len(corners),
-                corner_stride=self.stride,
-                box_stride=rows.shape[1],
-                count_0=counts[0],
-                first_1=firsts[1],
-                count_1=counts[1],
-                first_2=firsts[2],
-                count_2=counts[2],
+                triangle_count=len(scene.triangles),
                 most=self._most,
                 capacity=self.lists.shape[0],
                 surface=points.surface,
                 lights=lights,
-                boxes=boxes,
-                corners=self.corners,
-                occluders=self.lists,
-                starts=self.starts,
+                **self.arguments,
+                **self.walked,
                 lengths=lengths,
                 cursor=cursor,
             )
@@ -120,7 +113,7 @@ class Occluders:
         return np.minimum(self._lengths[chosen], 2 * self._most)
 
     def list_of(self, point: int) -> np.ndarray | None:
-        """The triangles, columns of `corners`, that can shade a point, uint32; None: too many."""
+        """The triangles that can shade a point, by their numbers in the hierarchy, uint32; None: too many."""
         if self._lengths[point] == TOO_MANY:
             return None
         first = int(self.starts.read()[point]) + 1
@@ -129,16 +122,11 @@ class Occluders:
     def defines(self) -> dict[str, int | str]:
         """The `-D` constants of shaft.cl, beside those of surface.cl and the integrand."""
         return {
-            "BRANCH": f"{BRANCH}u",
-            "MOST_OCCLUDERS": f"{self._room}u",
+            **self.hierarchy.defines(),
+            "MOST_OCCLUDERS": f"{max(self._room, 1)}u",
             "TOO_MANY": f"{TOO_MANY}u",
             "BLOCKS_A_ITEM": f"{tuning.BLOCKS_A_ITEM}u",
         }
-
-    @property
-    def stride(self) -> int:
-        """Floats of a row of `corners`."""
-        return self.corners.shape[1]
 
 
 def _longest_that_fits(lengths: np.ndarray, words: int) -> int | None:
@@ -147,27 +135,3 @@ def _longest_that_fits(lengths: np.ndarray, words: int) -> int | None:
     ends = np.cumsum(np.where(known > 0, known + 1, 0))
     fit = int(np.searchsorted(ends, words, side="right"))
     return None if fit == len(known) else int(known[fit]) - 1
-
-
-def _along_curve(centres: np.ndarray) -> np.ndarray:
-    """Indices in Morton order: neighbours in it are near each other."""
-    lower, upper = centres.min(axis=0), centres.max(axis=0)
-    cells = ((centres - lower) / np.maximum(upper - lower, 1e-30) * 1023).astype(np.uint64)
-    code = np.zeros(len(centres), np.uint64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(code, kind="stable")
-
-
-def _boxes_of(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of every BRANCH of the boxes, each (boxes, 3)."""
-    starts = np.arange(0, len(lower), BRANCH)
-    return np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
-
-
-def _rows(values: np.ndarray) -> np.ndarray:
-    """Transposed, each row padded with zeros to a whole number of branches; contiguous."""
-    padded = np.zeros((values.shape[1], -(-len(values) // BRANCH) * BRANCH), np.float32)
-    padded[:, : len(values)] = values.T
-    return padded
