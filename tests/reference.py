@@ -19,9 +19,9 @@ from ncv_cl.sampling.samples import SEEN, Batch, SampleSource
 from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
 from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
 from ncv_cl.settings.settings import Settings
-from ncv_cl.visibility.lines import most_on_lines
 from ncv_cl.visibility.shaft import MOST_OCCLUDERS, Occluders
 from ncv_cl.visibility.slices import Slices
+from ncv_cl.visibility.tuning import MOST_ON_LINES
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -322,7 +322,7 @@ def sampling(
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
     occluders = None
     if with_occluders or lines:
-        usual = most_on_lines(device) if lines else MOST_OCCLUDERS
+        usual = MOST_ON_LINES if lines else MOST_OCCLUDERS
         most = usual if most is None else most
         occluders = Occluders(device, scene, points, integrand, most)
     samples_of = sample_source(

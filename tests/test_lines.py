@@ -58,7 +58,7 @@ kernel void free_of_lines(const uint samples, const uint point_count, const uint
     if (own[0] != TOO_MANY)
       cut_lines(&lines, own, triangles, ray_origin(&p), 1, block);
     else
-      walk_block(&lines, levels, boxes, triangles, tolerance, ray_origin(&p), block);
+      walk_lines(&lines, levels, boxes, triangles, tolerance, ray_origin(&p), 1, block);
     const Gaps *gaps = &block[0].gaps;
     const LightView *view = &lines.view;
     const real squared = FMA(block[0].x, block[0].x, view->z * view->z);
@@ -133,19 +133,53 @@ def compared(device, scene, size=(12, 10), samples=64, most=None) -> Compared:
     is_free, margin = (array.read() for array in found)
     asked = live & (is_free < 2)
     return Compared(
-        embree[asked], is_free[asked] == 1, margin[asked], int((is_free[live] == 2).sum()), occluders.unknown
+        embree[asked],
+        is_free[asked] == 1,
+        margin[asked],
+        int((is_free[live] == 2).sum()),
+        occluders.unknown,
     )
 
 
+# By lists, and by a walk through boxes at every point that has something before the lights.
+BY_LISTS_OR_WALKS = pytest.mark.parametrize("most", [None, 0], ids=["lists", "walks"])
+
+
+@BY_LISTS_OR_WALKS
 @pytest.mark.parametrize("count", [0, 3, 40, 600])
 @pytest.mark.parametrize("lights", [LIGHTS, SEVERAL_LIGHTS], ids=["one-light", "two-lights"])
-def test_lines_are_free_where_embree_sees_the_light(device, count, lights):
-    found = compared(device, soup(count, lights, 3 / (2 + count**0.5)))
+def test_lines_are_free_where_embree_sees_the_light(device, count, lights, most):
+    found = compared(device, soup(count, lights, 3 / (2 + count**0.5)), most=most)
+    assert found.walked > 0 or most is None or count == 0
     assert found.embree.size > 2000 and (count == 0 or 0 < found.embree.mean() < 1)
     # Where a ray grazes an edge rounding decides.
     assert len(found.disagreements) < 1e-4 * found.embree.size
     assert (found.disagreements < 1e-4).all()
     assert found.refused < 0.02 * found.embree.size
+
+
+def test_walks_find_all_that_blocks_among_many_triangles(device):
+    """Dust so fine that lists are long, and in it a ball of many triangles that is closed."""
+    generator = np.random.default_rng(8)
+    dust = generator.uniform([-2.5, -0.8, -2.5], [2.5, 3.5, 2.5], (100_000, 1, 3))
+    dust = dust + 0.002 * generator.normal(size=(len(dust), 3, 3))
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.linspace(0, np.pi, 91), indexing="ij")
+    ball = np.stack([np.sin(v) * np.cos(u), np.cos(v), np.sin(v) * np.sin(u)], axis=-1) * 0.7 + [0, 1, 0]
+    corners = [ball[:-1, :-1], ball[1:, :-1], ball[1:, 1:], ball[:-1, 1:]]
+    halves = [np.stack([corners[0], corners[k], corners[k + 1]], axis=2) for k in (1, 2)]
+    triangles = np.concatenate([FLOOR, dust, *(half.reshape(-1, 3, 3) for half in halves)])
+    # At the poles there are triangles without area.
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
+    scene = mesh_scene(triangles[area > 1e-12], CAMERA, LIGHTS, (grey(),))
+    found = compared(device, scene, (12, 10), 64)
+    assert found.walked > 20 and found.embree.size > 3000 and 0.2 < found.embree.mean() < 0.95
+    assert len(found.disagreements) < 1e-3 * found.embree.size
+    # Products of corners as far as 5 are rounded to 25 * 2^-24, which moves an edge as long as 0.002 so far
+    # on a light as long as 2.
+    assert (found.disagreements < 25 * 2**-24 / 0.002 / 2).all()
+    assert found.refused < 0.05 * found.embree.size
 
 
 def moved(triangles: np.ndarray, *by: float) -> np.ndarray:
@@ -177,16 +211,17 @@ SPECIAL = {
 }  # fmt: skip
 
 
+@BY_LISTS_OR_WALKS
 @pytest.mark.parametrize("name", SPECIAL)
 @pytest.mark.parametrize("light", ["upright", "skew", "in a wall"])
-def test_special_triangles_block_what_they_block_for_embree(device, name, light):
+def test_special_triangles_block_what_they_block_for_embree(device, name, light, most):
     lights = {
         "upright": LIGHTS[0],
         "skew": light_at([-1, 4, -1], [2, 0, 0.7], [0.5, 0, 2], 5),
         "in a wall": light_at([-4, 0, -1], [0, 2, 0], [0, 0, 2], 5),
     }
     triangles = np.concatenate([FLOOR, *SPECIAL[name]])
-    found = compared(device, mesh_scene(triangles, CAMERA, (lights[light],), (grey(),)))
+    found = compared(device, mesh_scene(triangles, CAMERA, (lights[light],), (grey(),)), most=most)
     assert found.embree.size > 1000
     assert len(found.disagreements) < 1e-3 * found.embree.size
     assert (found.disagreements < 2e-4).all()
@@ -200,16 +235,18 @@ CORNERS = st.tuples(st.integers(-3, 3), st.integers(-1, 4), st.integers(-3, 3))
 @given(st.lists(st.tuples(CORNERS, CORNERS, CORNERS), min_size=1, max_size=12))
 def test_triangles_with_corners_on_a_grid(one_device, triangles):
     scene = mesh_scene(np.concatenate([FLOOR, np.array(triangles, float)]), CAMERA, LIGHTS, (grey(),))
-    found = compared(one_device, scene, (8, 6), 32)
-    assert (found.disagreements < 2e-4).all()
+    for most in (None, 0):
+        found = compared(one_device, scene, (8, 6), 32, most)
+        assert (found.disagreements < 2e-4).all()
 
 
-def test_no_line_slips_through_a_sheet(device):
+@BY_LISTS_OR_WALKS
+def test_no_line_slips_through_a_sheet(device, most):
     """Common edges, of which some lie along the lines, and corners."""
     light = light_at([-0.25, 3, -0.25], [0.5, 0, 0], [0, 0, 0.5])
     camera = camera_at([0, 0.5, 0], [0, -1, 0], 20, up=(0, 0, 1))
     scene = mesh_scene(np.concatenate([FLOOR, *SHEET]), camera, (light,), (grey(),))
-    points, source, _ = sampling(device, scene, DirectLight(), (16, 16), 256, lines=True)
+    points, source, _ = sampling(device, scene, DirectLight(), (16, 16), 256, lines=True, most=most)
     arrays = batch_arrays(source.draw(range(points.active), range(256), 0), 3)
     assert not arrays["value"].any() and (arrays["slot"] == NO_RAY).all()
     assert source.rays.off_lines == 0
@@ -225,15 +262,17 @@ def test_points_that_see_all_of_the_light_are_sampled_as_ever(device):
     assert (on_lines["slot"] == SEEN).all() and source.rays.traced == 0
 
 
-def test_lines_with_too_many_gaps_are_left_to_points(device):
+@BY_LISTS_OR_WALKS
+def test_lines_with_too_many_gaps_are_left_to_points(device, most):
     """A comb of more bars than a line has room for gaps; what is refused is as embree has it."""
     bars = [quad([-3, 1, z], [0, 0, 0.015], [6, 0, 0]) for z in np.arange(-2, 2, 0.05)]
     scene = mesh_scene(np.concatenate([FLOOR, *bars]), CAMERA, LIGHTS, (grey(),))
     points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64)
     plain = shadowed_values(source.draw(range(points.active), range(64), 0), 3)
-    points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64, lines=True)
+    points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 64, lines=True, most=most)
     on_lines = shadowed_values(source.draw(range(points.active), range(64), 0), 3)
-    assert 0 < source.rays.off_lines < source.rays.on_device
+    assert source.rays.off_lines > 1000 and source.rays.on_device > 1000
+    assert source.rays.traced == (source.rays.off_lines if most == 0 else 0)
     same = (plain == on_lines).all(axis=0) & (plain[0] > 0)
     assert same.sum() > 100
     # Both have the same mean: Z of their difference over points, whose errors are independent.
@@ -242,19 +281,23 @@ def test_lines_with_too_many_gaps_are_left_to_points(device):
     assert np.abs(difference).max() > 0
 
 
-def test_beside_the_lobe_of_a_glossy_surface(device):
+@BY_LISTS_OR_WALKS
+def test_beside_the_lobe_of_a_glossy_surface(device, most):
     """The lobe's samples are points, those of the lights lie on lines: the mean stays the same."""
     plain = soup(12, SEVERAL_LIGHTS)
     scene = replace(plain, materials=(grey(0.2, 0.6, 0.15),))
     means = []
     for lines in (False, True):
-        points, source, _ = sampling(device, scene, DirectLight(), (12, 10), 1024, lines=lines)
+        points, source, _ = sampling(
+            device, scene, DirectLight(), (12, 10), 1024, lines=lines, most=most
+        )
         values = [
             shadowed_values(source.draw(part, range(1024), int(lines)), 3) for part in source.batches()
         ]
         means.append(np.concatenate(values, axis=1).mean(axis=2))
     rays, share = source.rays, points.rows("lobe_share")[0, : points.active]
-    assert share.max() > 0.2 and 0 < rays.off_lines < rays.on_device and rays.traced == 0
+    assert share.max() > 0.2 and 0 < rays.off_lines < rays.on_device
+    assert (rays.traced > 0) == (most == 0)
     # Z over points, whose errors are independent.
     difference = means[1] - means[0]
     scores = difference.mean(axis=1) / (difference.std(axis=1) / np.sqrt(difference.shape[1]))
@@ -317,16 +360,32 @@ def test_square_errors_fall_like_the_cube_of_lines(one_device, side):
     assert errors[0] / errors[1] > 16**2.4
 
 
-def test_all_vector_widths_draw_the_same(one_device):
+@BY_LISTS_OR_WALKS
+def test_all_vector_widths_draw_the_same(one_device, most):
     scene, found = soup(40, SEVERAL_LIGHTS), []
     for width in (1, 4, 8, 16):
         shaped = open_device(one_device.cl_device, one_device.index, width, 1)
-        points, source, _ = sampling(shaped, scene, DirectLight(), (12, 10), 64, lines=True)
+        points, source, _ = sampling(shaped, scene, DirectLight(), (12, 10), 64, lines=True, most=most)
         found.append(batch_arrays(source.draw(range(points.active), range(64), 0), 3))
     for other in found[1:]:
         for name in "uv":
             np.testing.assert_array_equal(other[name], found[0][name])
         np.testing.assert_allclose(other["value"], found[0]["value"], rtol=2e-4, atol=1e-4)
+
+
+def test_lists_and_walks_draw_the_same(device):
+    """A walk meets triangles in another order, and looks at fewer."""
+    found = []
+    for most in (None, 0):
+        points, source, _ = sampling(
+            device, soup(600, SEVERAL_LIGHTS, 0.1), DirectLight(), (12, 10), 64, lines=True, most=most
+        )
+        found.append(batch_arrays(source.draw(range(points.active), range(64), 0), 3))
+        assert source.rays.on_device > 4000
+    same = np.abs(found[1]["v"] - found[0]["v"]) < 1e-4
+    assert same.mean() > 0.999
+    close = np.isclose(found[1]["value"], found[0]["value"], rtol=1e-3, atol=1e-3)
+    assert close[:, same].mean() > 0.999
 
 
 @pytest.mark.parametrize("method", ["mc", "ncv"])

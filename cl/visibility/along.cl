@@ -126,8 +126,7 @@ void take_visible(const ShadingPoint *p, global const float *restrict lights, gl
     if (own[0] != TOO_MANY) {
       cut_lines(&lines, own, triangles, origin, blocks, block);
     } else {
-      for (uint k = 0; k < blocks; ++k)
-        walk_block(&lines, levels, boxes, triangles, tolerance, origin, &block[k]);
+      walk_lines(&lines, levels, boxes, triangles, tolerance, origin, blocks, block);
     }
     for (uint k = 0; k < blocks; ++k) {
       const whole here = light_of[k] == light;

@@ -16,14 +16,14 @@ typedef struct {
   whole refused;
 } Gaps;
 
-/* Takes from the gaps what lies between `from` and `to`; nothing where to <= from. */
-void cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
+/* Takes from the gaps what lies between `from` and `to`, nothing where to <= from; returns whether that is something. */
+bool cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
   const real begin = SELECT((real)FAR_AWAY, from, from < to);
   const uint used = gaps->used;
   whole hit = (whole)0;
   for (uint k = 0; k < used; ++k) hit = hit || ((begin < gaps->high[k]) && (to > gaps->low[k]));
   /* Most of what is cut has been cut before. */
-  if (!ANY(hit)) return;
+  if (!ANY(hit)) return false;
   const real left_of = begin - sliver;
   const real right_of = to + sliver;
   whole split = (whole)0;
@@ -48,7 +48,7 @@ void cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
   for (uint k = 0; ANY(split); ++k) {
     if (k == MOST_GAPS) {
       gaps->refused = gaps->refused || split;
-      return;
+      return true;
     }
     whole here = split;
     if (k < kept) {
@@ -61,4 +61,5 @@ void cut_gaps(Gaps *gaps, const real from, const real to, const real sliver) {
     gaps->high[k] = SELECT(gaps->high[k], end, here);
     split = split && !here;
   }
+  return true;
 }

@@ -6,10 +6,11 @@
  *
  * The interval. Which side of an edge a ray passes, and whether it reaches the triangle's plane before its end (shaft.cl),
  * are signs of functions c0 + c1 x + c2 y: each is a half-line in y that begins or ends at -(c0 + c1 x) / c2. These
- * numbers are found once for all lines, for VEC triangles at a time; lines then take VEC lanes.
+ * numbers are found once for all lines of an item, for VEC triangles at a time; lines then take VEC lanes.
  * Two triangles with a common edge get the same numbers with their signs turned, so their intervals meet bit for bit.
  *
- * Only those of the listed triangles are looked at whose shadows, seen as ranges of x, reach the VEC lines.
+ * Of the triangles only those are looked at whose shadows on the light reach a rectangle about what is still open of the
+ * lines.
  *
  * Gaps are cut out of the whole line, triangle after triangle, in any order: what blocks twice does no harm.
  * Where light would arrive from below the point's surface there is none: lines are cut at its horizon, too.
@@ -21,12 +22,6 @@
 #define HALF_LINE 4
 /* Of a triangle: three sides and its plane. */
 #define SIDES 4
-/* After their half-lines the least and the largest x of the shadow. */
-#define LEAST_X (SIDES * HALF_LINE)
-#define LARGEST_X (LEAST_X + 1)
-#define TRIANGLE_ROWS (LEAST_X + 2)
-/* Triangles looked at together: what is known of them is kept at hand. A multiple of VEC. */
-#define TRIANGLES_AT_HAND 64
 #define ITEM_SAMPLES (BLOCKS_A_ITEM * VEC)
 /* Half-lines begin at most this many times as far from the middle as a light does. */
 #define STEEPEST 0x1.0p30f
@@ -92,6 +87,11 @@ float max_lanes(const real x) {
 
 float min_lanes(const real x) { return -max_lanes(-x); }
 
+/* A rectangle on a light: x across it and y along it, from the foot of the point. */
+typedef struct {
+  float least_x, largest_x, least_y, largest_y;
+} Extent;
+
 LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, const int light) {
   global const float *restrict record = lights + light * LIGHT_FLOATS;
   LightLines lines;
@@ -125,29 +125,43 @@ LightLines lines_of(const ShadingPoint *p, global const float *restrict lights, 
   return lines;
 }
 
-/* Least and largest x of a triangle's shadow on the light's plane. */
-void shadow_range(const LightLines *lines, const triple corner[3], real range[2]) {
-  const float base_x = dot(lines->base, lines->across);
-  range[0] = (real)FAR_AWAY;
-  range[1] = (real)-FAR_AWAY;
+/* Which of VEC triangles cast their shadows on some of the rectangle, but for rounding. */
+uint shadows_on(const real shadow[4], const Extent *extent) {
+  return lane_mask((shadow[0] <= extent->largest_x) && (shadow[1] >= extent->least_x) &&
+                   (shadow[2] <= extent->largest_y) && (shadow[3] >= extent->least_y));
+}
+
+/* Where the shadows of triangles on the light's plane begin and end: in x, and in y. */
+void find_shadows(const LightLines *lines, const triple corner[3], real shadow[4]) {
+  const float3 axis[2] = {lines->across, lines->along};
+  const float largest[2] = {lines->largest_x, lines->largest_y};
+  real shrinks[3];
   whole bounded = (whole)-1;
   for (uint c = 0; c < 3; ++c) {
     const real toward = exact_dot(corner[c], lines->normal);
-    const real sideways = exact_dot(corner[c], lines->across);
     /* A corner beside the point or behind it: the shadow has no end. */
-    bounded = bounded && (toward * STEEPEST > fabs(sideways) + lines->distance);
-    const real x = sideways * (lines->distance / toward) - base_x;
-    const real margin = SHADOW_MARGIN * (fabs(x) + (lines->largest_x + fabs(base_x)));
-    range[0] = min(range[0], x - margin);
-    range[1] = max(range[1], x + margin);
+    const real size = fabs(corner[c].x) + fabs(corner[c].y) + fabs(corner[c].z);
+    bounded = bounded && (toward * STEEPEST > size + lines->distance);
+    shrinks[c] = lines->distance / toward;
   }
-  range[0] = SELECT((real)-FAR_AWAY, range[0], bounded);
-  range[1] = SELECT((real)FAR_AWAY, range[1], bounded);
+  for (uint k = 0; k < 2; ++k) {
+    const float base = dot(lines->base, axis[k]);
+    real low = (real)FAR_AWAY;
+    real high = (real)-FAR_AWAY;
+    for (uint c = 0; c < 3; ++c) {
+      const real at = FMA(exact_dot(corner[c], axis[k]), shrinks[c], (real)-base);
+      const real margin = SHADOW_MARGIN * (fabs(at) + (largest[k] + fabs(base)));
+      low = min(low, at - margin);
+      high = max(high, at + margin);
+    }
+    shadow[2 * k] = SELECT((real)-FAR_AWAY, low, bounded);
+    shadow[2 * k + 1] = SELECT((real)FAR_AWAY, high, bounded);
+  }
 }
 
 /* What VEC triangles block: half-lines whose common part it is, each a row of `parts`. Returns which block nothing, seen
  * edge-on. */
-whole blocked_parts(const LightLines *lines, const triple corner[3], const uint row_floats, float *parts) {
+whole blocked_parts(const LightLines *lines, const triple corner[3], float parts[SIDES * HALF_LINE * VEC]) {
   triple edge[3];
   edge[0] = exact_cross_triple(corner[1], corner[2]);
   edge[1] = exact_cross_triple(corner[2], corner[0]);
@@ -167,40 +181,33 @@ whole blocked_parts(const LightLines *lines, const triple corner[3], const uint 
   }
   half_line(lines, sum[0], sum[1], sum[2], half_lines[3]);
   for (uint row = 0; row < SIDES * HALF_LINE; ++row)
-    STORE(half_lines[row / HALF_LINE][row % HALF_LINE], parts + row * row_floats);
+    STORE(half_lines[row / HALF_LINE][row % HALF_LINE], parts + row * VEC);
   return volume == 0.0f;
-}
-
-/* The same of the triangles `first` and on, TRIANGLES_AT_HAND at most, of a point's list, and their shadows' ranges. */
-void listed_parts(const LightLines *lines, global const uint *restrict own, const uint first, const uint count,
-                  global const float *restrict triangles, const float3 origin,
-                  float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND]) {
-  for (uint block = 0; block < count; block += VEC) {
-    const bits at = min(LANE_NUMBER + block, (bits)(count - 1)) + first;
-    const bits number = gather_bits(own + 1, at);
-    const whole row = TO_WHOLE(number / CHILDREN * LEAF_FLOATS + number % CHILDREN);
-    triple corner[3];
-    for (uint c = 0; c < 3; ++c) {
-      global const float *restrict rows = triangles + 3 * c * CHILDREN;
-      corner[c].x = gather(rows, row) - origin.x;
-      corner[c].y = gather(rows + CHILDREN, row) - origin.y;
-      corner[c].z = gather(rows + 2 * CHILDREN, row) - origin.z;
-    }
-    const whole flat = blocked_parts(lines, corner, TRIANGLES_AT_HAND, parts + block);
-    real range[2];
-    shadow_range(lines, corner, range);
-    range[0] = SELECT(range[0], (real)FAR_AWAY, flat || (LANE_NUMBER + block >= (bits)count));
-    STORE(range[0], parts + LEAST_X * TRIANGLES_AT_HAND + block);
-    STORE(range[1], parts + LARGEST_X * TRIANGLES_AT_HAND + block);
-  }
 }
 
 /* VEC lines of one light, and what is free of them so far. */
 typedef struct {
   real x, begin, sliver;
-  float least_x, largest_x;
   Gaps gaps;
+  Extent open; /* about all gaps, empty if there is none */
 } Block;
+
+/* Narrows what is open of a block to the gaps that are left. */
+void narrow_block(Block *block) {
+  const Gaps *gaps = &block->gaps;
+  real low = (real)FAR_AWAY;
+  real high = (real)-FAR_AWAY;
+  for (uint k = 0; k < gaps->used; ++k) {
+    const whole is_gap = gaps->low[k] < gaps->high[k];
+    low = SELECT(low, min(low, gaps->low[k]), is_gap);
+    high = SELECT(high, max(high, gaps->high[k]), is_gap);
+  }
+  const whole open = low < high;
+  block->open.least_x = min_lanes(SELECT((real)FAR_AWAY, block->x, open));
+  block->open.largest_x = max_lanes(SELECT((real)-FAR_AWAY, block->x, open));
+  block->open.least_y = min_lanes(low);
+  block->open.largest_y = max_lanes(high);
+}
 
 /* The lines of `here` whole, down to the surface's horizon. */
 void begin_block(const LightLines *lines, const real along, const whole here, Block *block) {
@@ -219,40 +226,70 @@ void begin_block(const LightLines *lines, const real along, const whole here, Bl
   block->gaps.refused = (whole)0;
   block->gaps.low[0] = low;
   block->gaps.high[0] = SELECT(low, high, here);
-  const whole open = here && (low < high);
-  block->least_x = min_lanes(SELECT((real)FAR_AWAY, x, open));
-  block->largest_x = max_lanes(SELECT((real)-FAR_AWAY, x, open));
+  narrow_block(block);
 }
 
-/* Cuts from VEC lines what one triangle blocks, whose parts are `row_floats` apart. */
-void cut_triangle(const float *part, const uint row_floats, Block *block) {
+/* Cuts from VEC lines what one triangle blocks; returns whether that is something. */
+bool cut_triangle(const float *part, Block *block) {
   const real x = block->x;
   real from = (real)-FAR_AWAY;
   real to = (real)FAR_AWAY;
   for (uint k = 0; k < SIDES; ++k) {
-    from = max(from, FMA((real)part[row_floats], x, (real)part[0]));
-    to = min(to, FMA((real)part[3 * row_floats], x, (real)part[2 * row_floats]));
-    part += HALF_LINE * row_floats;
+    from = max(from, FMA((real)part[VEC], x, (real)part[0]));
+    to = min(to, FMA((real)part[3 * VEC], x, (real)part[2 * VEC]));
+    part += HALF_LINE * VEC;
   }
-  cut_gaps(&block->gaps, from, to, block->sliver);
+  return cut_gaps(&block->gaps, from, to, block->sliver);
 }
 
-/* Cuts from VEC lines what `count` listed triangles block. */
-void cut_block(const float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND], const uint count, Block *block) {
-  for (uint first = 0; first < count && block->gaps.used > 0; first += VEC) {
-    uint near = lane_mask((LOAD(parts + LEAST_X * TRIANGLES_AT_HAND + first) <= block->largest_x) &&
-                          (LOAD(parts + LARGEST_X * TRIANGLES_AT_HAND + first) >= block->least_x));
-    while (near != 0) cut_triangle(parts + first + take_lowest(&near), TRIANGLES_AT_HAND, block);
+/* Cuts from `blocks` blocks what those of VEC triangles block that are in `wanted`; returns whether that is something. */
+bool cut_triangles(const LightLines *lines, const triple corner[3], const uint wanted, const uint blocks,
+                   Block block[BLOCKS_A_ITEM]) {
+  real shadow[4];
+  find_shadows(lines, corner, shadow);
+  float parts[SIDES * HALF_LINE * VEC];
+  uint found = wanted;
+  bool has_parts = false;
+  bool cuts = false;
+  for (uint k = 0; k < blocks; ++k) {
+    uint near = found & shadows_on(shadow, &block[k].open);
+    if (near != 0 && !has_parts) {
+      found &= ~lane_mask(blocked_parts(lines, corner, parts));
+      near &= found;
+      has_parts = true;
+    }
+    bool cut = false;
+    while (near != 0) cut = cut_triangle(parts + take_lowest(&near), &block[k]) || cut;
+    if (cut) narrow_block(&block[k]);
+    cuts = cuts || cut;
   }
+  return cuts;
+}
+
+/* Whether nothing is left open of any block. */
+bool all_closed(const uint blocks, const Block block[BLOCKS_A_ITEM]) {
+  for (uint k = 0; k < blocks; ++k)
+    if (block[k].open.least_x <= block[k].open.largest_x) return false;
+  return true;
 }
 
 /* Cuts from the lines of `blocks` blocks what the triangles of a point's list block. */
 void cut_lines(const LightLines *lines, global const uint *restrict own, global const float *restrict triangles,
                const float3 origin, const uint blocks, Block block[BLOCKS_A_ITEM]) {
-  float parts[TRIANGLE_ROWS * TRIANGLES_AT_HAND];
-  for (uint at = 0; at < own[0]; at += TRIANGLES_AT_HAND) {
-    const uint count = min(own[0] - at, (uint)TRIANGLES_AT_HAND);
-    listed_parts(lines, own, at, count, triangles, origin, parts);
-    for (uint k = 0; k < blocks; ++k) cut_block(parts, count, &block[k]);
+  const uint count = own[0];
+  bool changed = true;
+  for (uint first = 0; first < count; first += VEC) {
+    if (changed && all_closed(blocks, block)) return;
+    const bits at = min(LANE_NUMBER + first, (bits)(count - 1));
+    const bits number = gather_bits(own + 1, at);
+    const whole row = TO_WHOLE(number / CHILDREN * LEAF_FLOATS + number % CHILDREN);
+    triple corner[3];
+    for (uint c = 0; c < 3; ++c) {
+      global const float *restrict rows = triangles + 3 * c * CHILDREN;
+      corner[c].x = gather(rows, row) - origin.x;
+      corner[c].y = gather(rows + CHILDREN, row) - origin.y;
+      corner[c].z = gather(rows + 2 * CHILDREN, row) - origin.z;
+    }
+    changed = cut_triangles(lines, corner, lane_mask(LANE_NUMBER + first < (bits)count), blocks, block);
   }
 }

@@ -12,10 +12,10 @@ from ..sampling.problem import Problem
 from ..sampling.samples import SAMPLES_A_PASS
 from ..scene.load import Scene
 from ..settings.settings import Settings
-from ..visibility.lines import lines_pay, most_on_lines
+from ..visibility.lines import lines_pay
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import Slices
-from ..visibility.tuning import MOST_LIGHTS
+from ..visibility.tuning import MOST_LIGHTS, MOST_ON_LINES
 
 
 def prepare(
@@ -97,7 +97,7 @@ def _occluders(
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
     if integrand.promises("along_lines") and visibility in ("auto", "lines"):
-        occluders = Occluders(device, scene, points, integrand, most_on_lines(device))
+        occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES)
         if visibility == "lines" or lines_pay(occluders.unknown, points.active):
             return occluders, True
     return Occluders(device, scene, points, integrand, MOST_OCCLUDERS), False

@@ -2,21 +2,10 @@
 
 from __future__ import annotations
 
-from ..opencl.device import Device
 from . import tuning
 
 # Kernel files of samples along lines, after that of shafts.
 LINE_FILES = ("gaps", "lines", "walk", "along")
-
-# Occluders that are listed at most for a point: by work-items of vectors, and by a GPU's many, each of
-# which has its list at hand while it looks for them. No point of the shipped scenes has more than 848;
-# where all triangles of occluders are cut into four, lines still pay, and none has more than 4095.
-MOST_ON_LINES = {"vector": 4095, "single": 1023}
-
-
-def most_on_lines(device: Device) -> int:
-    """Occluders that are listed at most for a point whose samples are to lie along lines."""
-    return MOST_ON_LINES["vector" if device.vector_width > 1 else "single"]
 
 
 def lines_pay(unknown: int, points: int) -> bool:

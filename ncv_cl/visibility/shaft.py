@@ -20,8 +20,8 @@ MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
 # The lists of all points that have too many, and of all that have none.
 COMMON_LISTS = 2
-# What rounding moves corners, boxes and planes by, of the largest coordinate: six roundings of sums of up
-# to 2 * 3^0.5.
+# What rounding moves corners, boxes and planes by, of the largest coordinate: six roundings of sums of
+# up to 2 * 3^0.5.
 TOLERANCE = 24 * 2.0**-24
 
 
@@ -113,7 +113,7 @@ class Occluders:
         return np.minimum(self._lengths[chosen], 2 * self._most)
 
     def list_of(self, point: int) -> np.ndarray | None:
-        """The triangles that can shade a point, by their numbers in the hierarchy, uint32; None: too many."""
+        """Triangles that can shade a point, by their numbers in the hierarchy; None: too many."""
         if self._lengths[point] == TOO_MANY:
             return None
         first = int(self.starts.read()[point]) + 1

@@ -22,7 +22,10 @@ MOST_CASTERS = 128
 # Occluders from which on lines are brought in order, where from 2 to 48 no difference was to be seen:
 # python bench/bench_lines.py constants, and in whole renders python bench/bench_tuning.py MOST_GAPS
 # LINE_BLOCKS SORTED_FROM.
+# Occluders that are listed at most for a point: lists spare a walk through boxes, which takes some tenth
+# more of the time; every list takes memory.
 MOST_GAPS = 16
+MOST_ON_LINES = 1023
 LINE_BLOCKS = 16
 SORTED_FROM = 12
 
