@@ -13,6 +13,8 @@ from . import tuning
 CHILDREN = 16
 # Bounds of what fills up a node: no plane crosses a box that is inside out.
 EMPTY_LOWER, EMPTY_UPPER = np.float32(1e30), np.float32(-1e30)
+# Triangles that are looked at together while an order is made: what is known of them fits caches.
+TRIANGLES_IN_CACHE = 1 << 15
 
 
 class Hierarchy:
@@ -65,11 +67,13 @@ def packed_order(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     ndarray
         int64 (triangles,).
     """
-    centres = lower + upper
-    return _arranged(np.arange(len(lower))[None], lower, upper, centres).ravel()
+    # All that is asked of bounds is the least; those of a triangle are side by side in memory.
+    bounds = np.concatenate([lower, -upper], axis=1)
+    centres = np.ascontiguousarray((lower + upper).T)
+    return _arranged(np.arange(len(lower))[None], bounds, centres).ravel()
 
 
-def _arranged(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, centres: np.ndarray) -> np.ndarray:
+def _arranged(rows: np.ndarray, bounds: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Each of `rows`, indices (sets, triangles of a set), in the order of `packed_order`."""
     size = rows.shape[1]
     if size <= CHILDREN:
@@ -78,41 +82,55 @@ def _arranged(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, centres: n
     while unit * CHILDREN < size:
         unit *= CHILDREN
     first = (-(-size // unit) + 1) // 2 * unit
-    rows = _halved(rows, first, lower, upper, centres)
+    rows = _halved(rows, first, bounds, centres)
     if 2 * first == size:
-        halves = _arranged(rows.reshape(-1, first), lower, upper, centres)
-        return halves.reshape(-1, size)
+        return _arranged(rows.reshape(-1, first), bounds, centres).reshape(-1, size)
     parts = rows[:, :first], rows[:, first:]
-    return np.concatenate([_arranged(part, lower, upper, centres) for part in parts], axis=1)
+    return np.concatenate([_arranged(part, bounds, centres) for part in parts], axis=1)
 
 
-def _halved(
-    rows: np.ndarray, first: int, lower: np.ndarray, upper: np.ndarray, centres: np.ndarray
-) -> np.ndarray:
-    """`rows` with the `first` elements before the others along the best axis of each row.
-
-    Which axis is best some of a row's triangles tell; not all need be looked at.
-    """
-    some = rows[:, :: max(1, rows.shape[1] // tuning.SAMPLED_TRIANGLES)]
-    share = min(max(round(first / rows.shape[1] * some.shape[1]), 1), some.shape[1] - 1)
-    costs = []
-    for axis in range(3):
-        order = np.argsort(centres[some, axis], axis=1)
-        cut = np.take_along_axis(some, order, axis=1)
-        parts = cut[:, :share], cut[:, share:]
-        costs.append(sum(part.shape[1] * _surface(lower[part], upper[part]) for part in parts))
-    best = np.argmin(costs, axis=0)
+def _halved(rows: np.ndarray, first: int, bounds: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """`rows` with the `first` elements before the others along the best axis of each row."""
+    best = np.concatenate([_best_axes(part, first, bounds) for part in _in_cache(rows)])
     halved = np.empty_like(rows)
     for axis in range(3):
-        own = rows[best == axis]
-        order = np.argpartition(centres[own, axis], first - 1, axis=1)
-        halved[best == axis] = np.take_along_axis(own, order, axis=1)
+        chosen = np.flatnonzero(best == axis)
+        for part in _in_cache(chosen[:, None], rows.shape[1]):
+            own = rows[part[:, 0]]
+            order = np.argpartition(centres[axis].take(own), first - 1, axis=1)
+            halved[part[:, 0]] = own.take(order + own.shape[1] * np.arange(len(own))[:, None])
     return halved
 
 
-def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Half the surface of the box about each row of boxes (rows, boxes, 3)."""
-    x, y, z = (upper.max(axis=1) - lower.min(axis=1)).astype(np.float64).T
+def _in_cache(rows: np.ndarray, size: int | None = None) -> list[np.ndarray]:
+    """`rows` in parts of about `TRIANGLES_IN_CACHE`, of `size` triangles each (its columns by default)."""
+    step = max(1, TRIANGLES_IN_CACHE // (size or rows.shape[1]))
+    return [rows[at : at + step] for at in range(0, len(rows), step)]
+
+
+def _best_axes(rows: np.ndarray, first: int, bounds: np.ndarray) -> np.ndarray:
+    """Along which axis to cut each of `rows`, (sets,).
+
+    Some of a row's triangles tell; not all need be looked at.
+    """
+    some = rows[:, :: max(1, rows.shape[1] // tuning.SAMPLED_TRIANGLES)]
+    count, size = some.shape
+    share = min(max(round(first / rows.shape[1] * size), 1), size - 1)
+    own = bounds.take(some.ravel(), axis=0)
+    centres = (own[:, :3] - own[:, 3:]).T.reshape(3, count, size)
+    costs = []
+    for axis in range(3):
+        order = np.argsort(centres[axis], axis=1) + size * np.arange(count)[:, None]
+        cut = own.take(order.T, axis=0)
+        parts = cut[:share], cut[share:]
+        costs.append(sum(len(part) * _surface(part) for part in parts))
+    return np.argmin(costs, axis=0)
+
+
+def _surface(bounds: np.ndarray) -> np.ndarray:
+    """Half the surface of the box about each set of boxes, whose bounds are (boxes, sets, 6)."""
+    least = bounds.min(axis=0).astype(np.float64)
+    x, y, z = -(least[:, :3] + least[:, 3:]).T
     return x * y + y * z + z * x
 
 
