@@ -197,8 +197,8 @@ def large(name: str, scene: ncv.Scene, size: int, rounds: int) -> None:
     every = np.arange(found["lines"][0].points.active)
     counts = occluders.counts(every)
     print(
-        f"{name}, {len(scene.triangles)} triangles: {occluders.unknown} of {len(every)} points without a "
-        f"list, lists of {counts.mean():.0f} on average; prepared in "
+        f"{name}, {len(scene.triangles)} triangles: {occluders.unknown} of {len(every)} points without "
+        f"a list, lists of {counts.mean():.0f} on average; prepared in "
         + ", ".join(f"{found[kind][1]:.2f} s ({kind})" for kind in kinds),
         flush=True,
     )

@@ -36,7 +36,9 @@ class Hierarchy:
 
     def __init__(self, device: Device, scene: Scene) -> None:
         corners = scene.vertices[scene.triangles].astype(np.float32)
-        lower, upper = corners.min(axis=1), corners.max(axis=1)
+        # Corner by corner: along an axis of three numpy takes ten times as long.
+        a, b, c = corners.transpose(1, 0, 2)
+        lower, upper = (limit(limit(a, b), c) for limit in (np.minimum, np.maximum))
         order = packed_order(lower, upper)
         levels = box_levels(lower[order], upper[order])
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
@@ -103,7 +105,7 @@ def _halved(rows: np.ndarray, first: int, bounds: np.ndarray, centres: np.ndarra
 
 
 def _in_cache(rows: np.ndarray, size: int | None = None) -> list[np.ndarray]:
-    """`rows` in parts of about `TRIANGLES_IN_CACHE`, of `size` triangles each (its columns by default)."""
+    """`rows`, of `size` triangles each (its columns by default), in parts of `TRIANGLES_IN_CACHE`."""
     step = max(1, TRIANGLES_IN_CACHE // (size or rows.shape[1]))
     return [rows[at : at + step] for at in range(0, len(rows), step)]
 
