@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +25,9 @@ from reference import (
     shadowed_values,
 )
 from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
+from bench_slices import cut_in_four
 
 from ncv_cl.integrands import DirectLight
 from ncv_cl.opencl.device import open_device
@@ -180,6 +185,17 @@ def test_walks_find_all_that_blocks_among_many_triangles(device):
     # far on a light as long as 2.
     assert (found.disagreements < 25 * 2**-24 / 0.002 / 2).all()
     assert found.refused < 0.05 * found.embree.size
+
+
+def test_what_is_cut_into_many_triangles_blocks_the_same(device):
+    """The light and the floor too: most triangles then lie in the light's plane, or in the surface's."""
+    scene = soup(8, LIGHTS, 1.0)
+    for _ in range(6):
+        scene = cut_in_four(scene)
+    found = compared(device, scene, most=0)
+    assert found.walked > 20 and found.embree.size > 3000 and 0.2 < found.embree.mean() < 0.95
+    assert len(found.disagreements) < 1e-3 * found.embree.size
+    assert (found.disagreements < 1e-4).all()
 
 
 def moved(triangles: np.ndarray, *by: float) -> np.ndarray:

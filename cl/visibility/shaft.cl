@@ -91,21 +91,26 @@ triple leaf_corner(global const float *restrict leaf, const uint c, const float3
   return (triple){LOAD(rows) - origin.x, LOAD(rows + CHILDREN) - origin.y, LOAD(rows + 2 * CHILDREN) - origin.z};
 }
 
+/* Which of VEC triangles reach to the inner side of all planes. */
+uint triangles_inside(const Plane *plane, const uint planes, const triple corner[3]) {
+  whole inside = (whole)-1;
+  for (uint k = 0; k < planes; ++k) {
+    const triple n = to_triple(plane[k].normal);
+    const real first = dot_triple(n, corner[0]);
+    const real second = dot_triple(n, corner[1]);
+    const real third = dot_triple(n, corner[2]);
+    inside = inside && (min(first, min(second, third)) <= plane[k].limit);
+  }
+  return lane_mask(inside);
+}
+
 /* Which triangles of a leaf reach into the shaft. */
 uint triangles_in_shaft(const Plane plane[SHAFT_PLANES], const float3 origin, global const float *restrict leaf) {
   uint found = 0;
   for (uint block = 0; block < CHILDREN; block += VEC) {
     triple corner[3];
     for (uint c = 0; c < 3; ++c) corner[c] = leaf_corner(leaf + block, c, origin);
-    whole inside = (whole)-1;
-    for (int k = 0; k < SHAFT_PLANES; ++k) {
-      const triple n = to_triple(plane[k].normal);
-      const real first = dot_triple(n, corner[0]);
-      const real second = dot_triple(n, corner[1]);
-      const real third = dot_triple(n, corner[2]);
-      inside = inside && (min(first, min(second, third)) <= plane[k].limit);
-    }
-    found |= lane_mask(inside) << block;
+    found |= triangles_inside(plane, SHAFT_PLANES, corner) << block;
   }
   return found;
 }

@@ -11,8 +11,6 @@
  * Work-group contract: none; functions of private values, and of the hierarchy, which is read only.
  */
 
-#define EVERY_LANE (0xffffffffu >> (32 - VEC))
-
 /* Two planes through the origin, between which rays end from `low` to `high` along one axis of the light. */
 void shaft_sides(const LightLines *lines, const float3 axis, const float largest, const float low, const float high,
                  const float tolerance, Plane plane[2]) {
@@ -106,7 +104,9 @@ bool cut_leaf(const LightLines *lines, const float3 origin, global const float *
   for (uint first = 0; first < CHILDREN; first += VEC) {
     triple corner[3];
     for (uint c = 0; c < 3; ++c) corner[c] = leaf_corner(leaf + first, c, origin);
-    cuts = cut_triangles(lines, corner, EVERY_LANE, blocks, block) || cuts;
+    /* Of the light's and the surface's own planes rounding would make any side. */
+    const uint between = triangles_inside(lines->ends, 2, corner);
+    if (between != 0) cuts = cut_triangles(lines, corner, between, blocks, block) || cuts;
   }
   return cuts;
 }
