@@ -38,10 +38,10 @@ from ncv_cl.visibility import tuning
 
 NAMES = ("cornell_box", "occluders", "knot", "interior")
 NUMBERS = (16, 64, 256, 1024)
-LADDER = (4, 8, 12, 16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256, 320, 384, 512, 768, 1024)
-# Cuts of each triangle into four.
-LARGE = (("occluders", 1), ("occluders", 3), ("knot", 2), ("knot", 3))
-MESH_CUTS = (1, 3)
+LADDER = (16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256, 320, 384, 512, 768, 1024)
+# Shipped scenes that are cut, and least numbers of triangles to which scenes are cut.
+LARGE_NAMES = ("occluders", "knot")
+LEAST_TRIANGLES = (1, 100_000, 500_000)
 MESH_SCENE = """
 [camera]
 position = [0, 1.6, 3.2]
@@ -65,6 +65,7 @@ edge1 = [2, 0, 0]
 edge2 = [0, 0, 2]
 radiance = [14, 13, 11]
 """
+FEW_LINES = (4, 8, 16, 32, 64, 128, 256)
 CONSTANTS = {
     "MOST_GAPS": (2, 4, 8, 16),
     "LINE_BLOCKS": (4, 8, 16, 32),
@@ -159,17 +160,12 @@ def constants(size: int, rounds: int) -> None:
 
 
 def large_scenes(meshes: list[Path]) -> Iterator[tuple[str, ncv.Scene]]:
-    for name, cuts in LARGE:
-        yield name, cut(ncv.load_scene(SCENES / f"{name}.toml"), cuts)
-    for mesh in meshes:
-        for cuts in MESH_CUTS:
-            yield mesh.stem, cut(on_a_plane(mesh), cuts)
-
-
-def cut(scene: ncv.Scene, cuts: int) -> ncv.Scene:
-    for _ in range(cuts):
-        scene = cut_in_four(scene)
-    return scene
+    shipped = {name: ncv.load_scene(SCENES / f"{name}.toml") for name in LARGE_NAMES}
+    for name, scene in {**shipped, **{mesh.stem: on_a_plane(mesh) for mesh in meshes}}.items():
+        for least in LEAST_TRIANGLES:
+            while len(scene.triangles) < least:
+                scene = cut_in_four(scene)
+            yield name, scene
 
 
 def on_a_plane(mesh: Path) -> ncv.Scene:
@@ -189,39 +185,31 @@ def on_a_plane(mesh: Path) -> ncv.Scene:
 
 
 def large(name: str, scene: ncv.Scene, size: int, rounds: int) -> None:
+    """Lists, seconds, and from how many samples a point on lines reach their error before points do."""
     kinds = ("embree", "points", "lines")
-    found = {
-        kind: min((prepared(scene, size, kind) for _ in range(2)), key=lambda x: x[1]) for kind in kinds
-    }
+    found = {kind: prepared(scene, size, kind) for kind in kinds}
     occluders = found["lines"][0].source.occluders
     every = np.arange(found["lines"][0].points.active)
-    counts = occluders.counts(every)
     print(
         f"{name}, {len(scene.triangles)} triangles: {occluders.unknown} of {len(every)} points without "
-        f"a list, lists of {counts.mean():.0f} on average; prepared in "
+        f"a list, {occluders.mean_count:.0f} occluders on average; prepared in "
         + ", ".join(f"{found[kind][1]:.2f} s ({kind})" for kind in kinds),
         flush=True,
     )
-    for spp in (4, 16, 64, 256):
-        took = {kind: drawing(found[kind][0], spp, rounds) for kind in kinds}
-        row = ", ".join(f"{kind} {took[kind][0]:.0f}" for kind in kinds)
-        print(f"  {spp} samples a point, ns each: {row}; {took['lines'][1]:.0e} refused", flush=True)
     case = Case(name, "direct", size, 1024, scene, 512)
-    for points in (16, 64, 256, 1024):
-        goal = case.error(case.render("points", points, 5))
-        for number in LADDER:
-            reached = case.error(case.render("lines", number, 5))
-            if reached <= goal:
-                break
-        seconds = {
-            kind: 1e-9 * spp * drawing(found[kind][0], spp, rounds)[0] * len(every)
-            for kind, spp in (("points", points), ("embree", points), ("lines", number))
-        }
-        print(
-            f"  error of {points} points {goal:.2e}: {number} lines ({reached:.2e}); processor seconds "
-            + ", ".join(f"{kind} {took:.3f}" for kind, took in seconds.items()),
-            flush=True,
-        )
+    errors = [case.error(case.render("points", number, 5)) for number in NUMBERS]
+    ratios = []
+    for spp in FEW_LINES:
+        error = np.mean([case.error(case.render("lines", spp, seed)) for seed in range(2)])
+        # As many points as have this error; beyond those measured by their power.
+        points = np.exp(np.interp(-np.log(error), -np.log(errors), np.log(NUMBERS)))
+        points *= max(1.0, errors[-1] / error) ** (1 / 1.5)
+        took = {kind: drawing(found[kind][0], spp, rounds)[0] for kind in kinds}
+        ratios.append(points * min(took["embree"], took["points"]) / (spp * took["lines"]))
+        row = ", ".join(f"{kind} {took[kind]:.0f} ns" for kind in kinds)
+        print(f"  {spp} a point: {row}; lines have the error of {points:.0f} points: {ratios[-1]:.2f}")
+    enough = np.exp(np.interp(0.0, np.log(ratios), np.log(FEW_LINES)))
+    print(f"  lines pay from {enough:.0f} samples: {occluders.mean_count / enough:.0f} occluders each")
 
 
 def main() -> None:

@@ -118,6 +118,8 @@ TRIALS = {
     "MOST_GAPS": Trial(LIGHTS, options=ON_LINES, spp=256),
     "LINE_BLOCKS": Trial(LIGHTS, options=ON_LINES, spp=256),
     "SORTED_FROM": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "MOST_ON_LINES": Trial(LIGHTS, options=ON_LINES, spp=256),
+    "OCCLUDERS_A_LINE": Trial(LIGHTS, options=PLAIN, spp=16),
     "MOST_BLOCKED": Trial(OCCLUSION, options=ON_LINES),
     "SAMPLED_TRIANGLES": Trial(OCCLUSION, options=ON_LINES),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),

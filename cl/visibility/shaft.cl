@@ -20,7 +20,7 @@
  * rows: x, y, z of corner 0, then 1, then 2. What fills up a node or a leaf is empty.
  * `occluders`: lists one after another, each how many triangles (TOO_MANY: not known) and which; a point's
  * begins at its number in `starts`. The first two words are the lists of all points that have too many, and of all that
- * have none. `lengths`: how many; `cursor`: where the next list begins, in whatever order points are done.
+ * have none. `lengths`: how many; `counted`: how many at every counted_step-th point, be it too many; `cursor`: where the next list begins, in whatever order points are done.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; find_occluders is one work-item a
  * point.
@@ -137,9 +137,10 @@ uint triangles_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const flo
   return any;
 }
 
-/* Lists the triangles that reach into some shaft; returns how many, TOO_MANY if more than `most`. */
+/* Counts the triangles that reach into some shaft, and lists the first `most`; returns TOO_MANY if there are more and not
+ * `all_counted`. */
 uint list_occluders(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, const uint most,
-                    const uint triangle_count, global const uint *restrict levels, global const float *restrict boxes,
+                    const bool all_counted, const uint triangle_count, global const uint *restrict levels, global const float *restrict boxes,
                     global const float *restrict triangles, uint own[MOST_OCCLUDERS]) {
   uint in_shaft[BOX_LEVELS][LIGHT_COUNT], found[BOX_LEVELS], node[BOX_LEVELS];
   uint all[LIGHT_COUNT];
@@ -164,19 +165,22 @@ uint list_occluders(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 o
       const uint triangle = child * CHILDREN + take_lowest(&met);
       /* The last leaf is filled up. */
       if (triangle >= triangle_count) break;
-      if (count == most) return TOO_MANY;
-      own[count++] = triangle;
+      if (count < most)
+        own[count] = triangle;
+      else if (!all_counted)
+        return TOO_MANY;
+      ++count;
     }
   }
 }
 
 kernel void find_occluders(const uint point_count, const uint total_points, const float tolerance,
-                           const uint triangle_count, const uint most, const uint capacity,
+                           const uint triangle_count, const uint most, const uint capacity, const uint counted_step,
                            global const float *restrict surface, global const float *restrict lights,
                            global const uint *restrict levels, global const float *restrict boxes,
                            global const float *restrict triangles, global uint *restrict occluders,
                            global uint *restrict starts, global uint *restrict lengths,
-                           volatile global uint *restrict cursor) {
+                           global uint *restrict counted, volatile global uint *restrict cursor) {
   const uint point = (uint)get_global_id(0);
   if (point >= point_count) return;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
@@ -184,8 +188,11 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
   for (uint light = 0; light < LIGHT_COUNT; ++light)
     shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane[light]);
   uint own[MOST_OCCLUDERS];
-  const uint count =
-      list_occluders(plane, ray_origin(&p), most, triangle_count, levels, boxes, triangles, own);
+  const bool all_counted = point % counted_step == 0;
+  uint count =
+      list_occluders(plane, ray_origin(&p), most, all_counted, triangle_count, levels, boxes, triangles, own);
+  if (all_counted) counted[point / counted_step] = count;
+  if (count > most) count = TOO_MANY;
   lengths[point] = count;
   if (point == 0) {
     occluders[0] = TOO_MANY;

@@ -96,11 +96,13 @@ def _occluders(
 ) -> tuple[Occluders, bool]:
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
+    hierarchy = None
     if integrand.promises("along_lines") and visibility in ("auto", "lines"):
         occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES)
-        if visibility == "lines" or lines_pay(occluders.unknown, points.active):
+        if visibility == "lines" or lines_pay(occluders.mean_count, settings.spp):
             return occluders, True
-    return Occluders(device, scene, points, integrand, MOST_OCCLUDERS), False
+        hierarchy = occluders.hierarchy
+    return Occluders(device, scene, points, integrand, MOST_OCCLUDERS, hierarchy), False
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

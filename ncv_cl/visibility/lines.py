@@ -8,15 +8,14 @@ from . import tuning
 LINE_FILES = ("gaps", "lines", "walk", "along")
 
 
-def lines_pay(unknown: int, points: int) -> bool:
-    """Whether lines reach an error sooner than points, where `unknown` of so many points have no list.
+def lines_pay(occluders: float, samples: int) -> bool:
+    """Whether lines reach an error sooner than points, with so many triangles before the lights on average.
 
-    A line takes up to twice the time of a point, and leaves little error where the list is known.
-    The error of Sobol points falls like n^-1.5: as many points as the time would buy have 2^-1.5 = 0.35
-    of it. So lines pay where less than that is left, at points without a list; this asks for less than
-    a quarter, since lists of many triangles take time as well.
+    What stands before a point's lights is found once for all lines that are drawn together, so what a
+    line costs falls with their number; their error falls faster than that of points. So lines pay from
+    a number of samples a point on, which grows with the triangles.
     """
-    return 4 * unknown < points
+    return occluders <= tuning.OCCLUDERS_A_LINE * samples
 
 
 def line_defines() -> dict[str, str]:

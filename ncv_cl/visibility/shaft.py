@@ -18,6 +18,8 @@ from .hierarchy import Hierarchy
 MOST_OCCLUDERS = 63
 MOST_LIST_WORDS = 1 << 26
 TOO_MANY = 0xFFFFFFFF
+# Points, at most, whose occluders are counted even if they are too many.
+COUNTED_POINTS = 256
 # The lists of all points that have too many, and of all that have none.
 COMMON_LISTS = 2
 # What rounding moves corners, boxes and planes by, of the largest coordinate: six roundings of sums of
@@ -40,11 +42,15 @@ class Occluders:
         One whose rays end on the lights (`to_lights`).
     most : int
         Longest list that is kept, if memory for all of them suffices.
+    hierarchy : Hierarchy, optional
+        The scene's, if there is one.
 
     Attributes
     ----------
     lists, starts : HostArray
         uint32, the lists one after another as shaft.cl lays them out, and where each point's begins.
+    mean_count : float
+        Triangles that can shade a point, on average over some points.
     hierarchy : Hierarchy
         Of the triangles that the lists name.
     arguments, walked : dict
@@ -58,8 +64,9 @@ class Occluders:
         points: ShadingPoints,
         integrand: Integrand,
         most: int = MOST_OCCLUDERS,
+        hierarchy: Hierarchy | None = None,
     ) -> None:
-        self.hierarchy = Hierarchy(device, scene)
+        self.hierarchy = hierarchy or Hierarchy(device, scene)
         # No triangle is listed twice.
         self._most = self._room = most
         words = COMMON_LISTS + points.active * (min(most, len(scene.triangles)) + 1)
@@ -80,6 +87,8 @@ class Occluders:
         lights = HostArray.of(device, integrand.data(scene))
         # The same numbers as at the lists' heads: the host wants these without the lists.
         lengths = HostArray(device, points.active, np.uint32)
+        step = -(-points.active // COUNTED_POINTS)
+        counted = HostArray(device, -(-points.active // step), np.uint32)
         cursor = HostArray(device, 1, np.uint32)
         while True:
             cursor.fill(COMMON_LISTS)
@@ -94,12 +103,15 @@ class Occluders:
                 lights=lights,
                 **self.arguments,
                 **self.walked,
+                counted_step=step,
                 lengths=lengths,
+                counted=counted,
                 cursor=cursor,
             )
             self._lengths = lengths.read()
             fitting = _longest_that_fits(self._lengths, self.lists.shape[0] - COMMON_LISTS)
             if fitting is None:
+                self.mean_count = float(counted.read().mean())
                 return
             self._most = fitting
 
