@@ -4,7 +4,8 @@
     python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points
     python bench/bench_lines.py network      what a control variate takes off the error of few lines
     python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
-    python bench/bench_lines.py large        scenes of many triangles: lists, seconds, to the same error
+    python bench/bench_lines.py large        scenes of many triangles: from how many samples lines pay
+    python bench/bench_lines.py rates        million lines and slices a second, in a CPU's and a GPU's shape
 
 Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
 of 8192 lines, and is compared with 4096 points that embree traced before anything is measured; in large
@@ -28,8 +29,9 @@ from visibility_case import Case
 
 import ncv_cl as ncv
 from ncv_cl.host.clock import Stopwatch
-from ncv_cl.integrands import DirectLight
+from ncv_cl.integrands import DirectLight, Integrand
 from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.rendering.prepare import prepare
 from ncv_cl.sampling.problem import Problem
 from ncv_cl.settings.options import Sampling
@@ -124,11 +126,18 @@ def network(case: Case, seeds: int) -> None:
             print(f"  {sampler} {spp}: {'; '.join(row)}", flush=True)
 
 
-def prepared(scene: ncv.Scene, size: int, visibility: str = "lines") -> tuple[Problem, float]:
-    """A scene's problem, and processor seconds to prepare it."""
-    settings = Settings(DirectLight(), "mc", 1, (size, size), 0, Sampling(visibility=visibility))
+def prepared(
+    scene: ncv.Scene,
+    size: int,
+    visibility: str = "lines",
+    integrand: Integrand | None = None,
+    device: Device | None = None,
+) -> tuple[Problem, float]:
+    """A scene's problem, and processor seconds to prepare it; of direct light by default."""
+    integrand = integrand or DirectLight()
+    settings = Settings(integrand, "mc", 1, (size, size), 0, Sampling(visibility=visibility))
     started = time.process_time()
-    problem = prepare(choose_device(None), scene, settings, None, Stopwatch())
+    problem = prepare(device or choose_device(None), scene, settings, None, Stopwatch())
     return problem, time.process_time() - started
 
 
@@ -157,6 +166,21 @@ def constants(size: int, rounds: int) -> None:
                     row.append(f"{name} {spp}: {nanoseconds:.1f} ns, {refused:.0e} refused")
             print(f"{constant} {value}: {'; '.join(row)}", flush=True)
         setattr(tuning, constant, chosen)
+
+
+def rates(size: int, rounds: int) -> None:
+    """Processor time counts, so a rate is that of one core."""
+    cpu = choose_device(None)
+    gpu_shape = open_device(cpu.cl_device, cpu.index, 1, GPU_LANES)
+    for device in (cpu, gpu_shape):
+        print(f"VEC {device.vector_width}, LANES {device.lanes}, million a second of one core:")
+        for name in NAMES:
+            scene, row = ncv.load_scene(SCENES / f"{name}.toml"), []
+            for what, integrand in (("lines", DirectLight()), ("slices", ncv.AmbientOcclusion())):
+                problem = prepared(scene, size, "lines", integrand, device)[0]
+                for spp in (16, 64, 256):
+                    row.append(f"{what} {spp}: {1e3 / drawing(problem, spp, rounds)[0]:.2f}")
+            print(f"  {name} {', '.join(row)}", flush=True)
 
 
 def large_scenes(meshes: list[Path]) -> Iterator[tuple[str, ncv.Scene]]:
@@ -219,14 +243,14 @@ def main() -> None:
         "network": network,
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=(*parts, "constants", "large"))
+    parser.add_argument("part", choices=(*parts, "constants", "large", "rates"))
     parser.add_argument("--scenes", nargs="+", default=NAMES)
     parser.add_argument("--meshes", nargs="*", type=Path, default=[], help="OBJ files for `large`")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed renders of each")
     options = parser.parse_args()
-    if options.part == "constants":
-        constants(options.size, options.rounds)
+    if options.part in ("constants", "rates"):
+        {"constants": constants, "rates": rates}[options.part](options.size, options.rounds)
         return
     if options.part == "large":
         for name, scene in large_scenes(options.meshes):

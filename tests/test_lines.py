@@ -29,13 +29,18 @@ from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
 from bench_slices import cut_in_four
 
+from ncv_cl.host.clock import Stopwatch
 from ncv_cl.integrands import DirectLight
 from ncv_cl.opencl.device import open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
+from ncv_cl.rendering.prepare import prepare
 from ncv_cl.rendering.render import render
 from ncv_cl.sampling.samples import NO_RAY, SEEN
-from ncv_cl.visibility.lines import LINE_FILES, line_defines
+from ncv_cl.settings.options import Sampling
+from ncv_cl.settings.settings import Settings
+from ncv_cl.visibility.lines import LINE_FILES, line_defines, lines_pay
+from ncv_cl.visibility.tuning import OCCLUDERS_A_LINE
 
 # Of samples (u, v): whether v is in a gap of its line, and how far from the next end of one.
 KERNEL = """
@@ -266,6 +271,23 @@ def test_no_line_slips_through_a_sheet(device, most):
     arrays = batch_arrays(source.draw(range(points.active), range(256), 0), 3)
     assert not arrays["value"].any() and (arrays["slot"] == NO_RAY).all()
     assert source.rays.off_lines == 0
+
+
+@pytest.mark.parametrize("samples, chosen", [(1, "points"), (64, "lines")])
+def test_auto_draws_lines_where_samples_are_many_for_the_triangles(one_device, samples, chosen):
+    scene, drawn = soup(600, LIGHTS, 0.15), {}
+    for visibility in ("auto", "lines", "points"):
+        sampled = Sampling(visibility=visibility)
+        settings = Settings(DirectLight(), "mc", samples, (12, 10), 0, sampled)
+        source = prepare(one_device, scene, settings, 2, Stopwatch()).source
+        drawn[visibility] = batch_arrays(source.draw(range(source.points.active), range(64), 0), 3)[
+            "value"
+        ]
+    occluders = source.occluders.mean_count
+    assert OCCLUDERS_A_LINE < occluders < 64 * OCCLUDERS_A_LINE
+    assert lines_pay(occluders, samples) == (chosen == "lines")
+    np.testing.assert_array_equal(drawn["auto"], drawn[chosen])
+    assert not np.array_equal(drawn["lines"], drawn["points"])
 
 
 def test_points_that_see_all_of_the_light_are_sampled_as_ever(device):

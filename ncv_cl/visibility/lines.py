@@ -9,11 +9,11 @@ LINE_FILES = ("gaps", "lines", "walk", "along")
 
 
 def lines_pay(occluders: float, samples: int) -> bool:
-    """Whether lines reach an error sooner than points, with so many triangles before the lights on average.
+    """Whether `samples` lines a point reach an error sooner than points.
 
-    What stands before a point's lights is found once for all lines that are drawn together, so what a
-    line costs falls with their number; their error falls faster than that of points. So lines pay from
-    a number of samples a point on, which grows with the triangles.
+    `occluders` triangles stand before a point's lights on average. They are found once for all lines
+    that are drawn together, so a line costs the less the more there are; and the error of lines falls
+    faster than that of points. So lines pay from a number of samples on, which grows with the triangles.
     """
     return occluders <= tuning.OCCLUDERS_A_LINE * samples
 
