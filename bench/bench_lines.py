@@ -5,7 +5,7 @@
     python bench/bench_lines.py network      what a control variate takes off the error of few lines
     python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
     python bench/bench_lines.py large        scenes of many triangles: from how many samples lines pay
-    python bench/bench_lines.py rates        million lines and slices a second, in a CPU's and a GPU's shape
+    python bench/bench_lines.py rates        million lines and slices a second, in both shapes
 
 Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
 of 8192 lines, and is compared with 4096 points that embree traced before anything is measured; in large

@@ -12,10 +12,10 @@
  * With SHAFTS (shaft.cl joined before) points whose occluders are known need no rays: their samples' slots say NO_RAY
  * or SEEN. The second word of `ray_count` counts them.
  *
- * With LINES (lines.cl joined before) samples of such points, which are then the sampler's points (x, y) in `u` and `v`,
+ * With LINES (along.cl joined before) samples, which are then the sampler's points (x, y) in `u` and `v`,
  * are moved along lines to where they see the light, and their values hold the lines' visible length: an
- * integrand of (x, y), whose integral is the same. The third word of `ray_count` counts samples that no line
- * was found for, which are tested like others.
+ * integrand of (x, y), whose integral is the same. They count as answered, too. The third word of `ray_count` counts
+ * samples that no line was found for, which are tested, or traced where the occluders are not known.
  *
  * With SLICES (slices.cl joined before) a sample is a whole slice of the hemisphere at its v, and its value the exact
  * integral over u of the integrand with visibility: an integrand that does not depend on u. A slice that is refused

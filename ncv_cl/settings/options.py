@@ -45,8 +45,8 @@ class Sampling:
         "lines": find what is seen of whole lines on the lights (direct light), or in whole slices of the
         hemisphere (ambient occlusion), and sample only that: no shadow rays, less error. "points": test
         shadow rays that few triangles can block on the device. "embree": trace all of them; pixels
-        differ from those by points where a ray grazes an edge. "auto": lines in direct light, where the
-        triangles before the lights are known at nearly all points; else points.
+        differ from those by points where a ray grazes an edge. "auto": lines in direct light, where
+        `spp` is large for the number of triangles before the lights; else points.
     skip_dark : bool
         Leave out points that face away from every light, whose value is zero, or, to compare,
         compute them as well.

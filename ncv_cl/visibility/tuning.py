@@ -27,9 +27,9 @@ LINE_BLOCKS = 16
 SORTED_FROM = 12
 
 # Occluders that are listed at most for a point on lines: lists spare a walk through boxes, which takes
-# some tenth more of the time, but take memory. Triangles before the lights for which one line pays; where
-# there are more to each of a point's samples points are drawn: in cut scenes lines paid from 8 to 90
-# triangles on: python bench/bench_lines.py large, and in whole renders
+# some tenth more of the time, but take memory. Triangles before the lights for which one line pays;
+# where there are more to each of a point's samples points are drawn: in cut scenes lines paid with 8 to
+# 90 of them: python bench/bench_lines.py large, and in whole renders
 # python bench/bench_tuning.py MOST_ON_LINES OCCLUDERS_A_LINE.
 MOST_ON_LINES = 1023
 OCCLUDERS_A_LINE = 16
