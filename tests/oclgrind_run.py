@@ -1,6 +1,6 @@
 """Render a few pixels on the only device there is: what test_oclgrind.py runs under the simulator.
 
-Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBILITY]]
+Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBILITY [LISTED]]]
 """
 
 import sys
@@ -12,6 +12,7 @@ from ncv_cl import render
 from ncv_cl.learning import tuning
 from ncv_cl.opencl.device import list_cl_devices, open_device
 from ncv_cl.opencl.memory import HostArray
+from ncv_cl.rendering import prepare
 from ncv_cl.settings.presets import PRESETS
 
 
@@ -53,7 +54,11 @@ def main(
     lanes: str,
     density: str | None = None,
     visibility: str = "auto",
+    listed: str | None = None,
 ) -> None:
+    """Render; `listed` is how many occluders a list may hold."""
+    if listed is not None:
+        prepare.MOST_ON_LINES = int(listed)
     avoid_false_reports()
     shrink_training()
     (simulator,) = list_cl_devices()

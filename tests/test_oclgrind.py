@@ -111,8 +111,9 @@ def test_simulator_finds_no_fault_in_slices(name, density, vec, lanes, scenes, t
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("name", ["cornell_box", "interior"])
-def test_simulator_finds_no_fault_along_lines(name, vec, lanes, scenes, tmp_path):
-    arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "table", "lines")
+@pytest.mark.parametrize("listed", [1023, 0], ids=["lists", "walks"])
+def test_simulator_finds_no_fault_along_lines(name, listed, vec, lanes, scenes, tmp_path):
+    arguments = ("direct", "ncv", "sobol", str(vec), str(lanes), "table", "lines", str(listed))
     faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
     assert not faults, faults[:5000]
 
