@@ -10,8 +10,8 @@
  * own sum, one bounce after another, and random numbers follow from its name: so results do not depend on which ray
  * of a wave it gets.
  *
- * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
- * them; there is then nothing for add_lit.
+ * Where the scene is of few triangles (CASTERS, shadow.cl and closest.cl), shade_hits finds itself what rays hit, and
+ * answers its shadow rays, which it only counts: the host has nothing to trace, and add_lit nothing to add.
  *
  * `triangles`: records of triangles.py. With HAS_SPECULAR they have reflectance and roughness, with HAS_EMISSION
  * emission, with HAS_NORMALS the corners' normals. Both sides are alike.
@@ -172,18 +172,24 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const whole here = LANE_NUMBER + first < (bits)count;
-  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here);
-  const whole at = max(triangle, (whole)0) * TRIANGLE_FLOATS;
   const triple origin = load_planes(wave, WAVE_ORIGIN, plane, first);
   const triple direction = load_planes(wave, WAVE_DIRECTION, plane, first);
   const triple outgoing = {-direction.x, -direction.y, -direction.z};
-  const real distance = LOAD(PLANE(wave, WAVE_DISTANCE) + first);
+#if CASTERS
+  const Hit hit = closest_hit(casters, origin, direction, here);
+#else
+  (void)casters;
+  const Hit hit = {SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here),
+                   LOAD(PLANE(wave, WAVE_DISTANCE) + first), LOAD(PLANE(wave, WAVE_U) + first),
+                   LOAD(PLANE(wave, WAVE_V) + first)};
+#endif
+  const whole at = max(hit.triangle, (whole)0) * TRIANGLE_FLOATS;
   Ray ray;
   ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
   /* Lanes past the last ray may read a path number of an earlier, larger batch. */
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
-  const whole met = triangle >= 0;
+  const whole met = hit.triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
   /* A light ends the path. */
@@ -196,14 +202,14 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #else
     const whole left = all_strips(lights);
 #endif
-    const triple found = light_met(lights, left, light, origin, direction, distance, density);
+    const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
-           LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
+  load_hit(triangles, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position, &geometric_normal,
+           &s);
 #if HAS_EMISSION
   const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
@@ -254,7 +260,6 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   count_shadow_rays(is_cast, next_wave);
   brought = sum_where(brought, shadow.throughput, reaches_light(casters, shadow.origin, shadow.direction, is_cast));
 #else
-  (void)casters;
   append_rays(&shadow, is_cast, 1, next_plane, next_wave);
 #endif
 

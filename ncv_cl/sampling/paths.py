@@ -55,7 +55,7 @@ class PathSource(SampleSource):
     Parameters as for `SampleSource`, and
 
     shadows_tested : bool
-        Test shadow rays behind the first bounce on the device where the scene is of few triangles.
+        Whether kernels find what paths and their shadow rays hit, where the scene is of few triangles.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class PathSource(SampleSource):
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
+        few = self._few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
@@ -85,7 +85,7 @@ class PathSource(SampleSource):
         )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
-        self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
+        self._files = (*surface, "warp", "guide", "shadow", "closest", "batch", "wave", "paths")
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -101,7 +101,7 @@ class PathSource(SampleSource):
         }
         self._choose_program()
         capacity = self._capacity
-        self._wave, self._next = (Wave(device, capacity, few) for _ in range(2))
+        self._wave, self._next = (Wave(device, capacity) for _ in range(2))
         self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
         self._place = _zeros(device, capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
@@ -224,9 +224,12 @@ class PathSource(SampleSource):
 
     def _trace(self) -> None:
         """Closest hits of the rays under way, and which shadow rays reach their lights."""
+        if self._few:
+            self._wave.count()
+            self.rays.on_device += self._wave.tested
+            return
         self.rays.trace_seconds += self._wave.trace(self._tracer)
         self.rays.traced += self._wave.rays + self._wave.shadows
-        self.rays.on_device += self._wave.tested
 
     def _add_lit(self) -> None:
         """Add what shadow rays found visible."""
