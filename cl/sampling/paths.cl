@@ -34,6 +34,8 @@ triple bounce_throughput(const Scatterer *s, const triple geometric_normal, cons
 
 real largest_of(const triple t) { return max(t.x, max(t.y, t.z)); }
 
+real mean_of(const triple t) { return (t.x + t.y + t.z) * (1.0f / 3.0f); }
+
 whole is_shiny(const Scatterer *s) {
 #if HAS_SPECULAR
   return s->reflectance.x + s->reflectance.y + s->reflectance.z > 0.0f;
@@ -166,7 +168,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
                        const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
                        global const float *restrict triangles, global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
-                       global const uint *restrict guide, global const float *restrict guide_mean,
+                       global const uint *restrict guide, global const float *restrict guide_known,
                        global uint *restrict guide_place, const uint plane, global const float *restrict wave,
                        global float *restrict radiance, const uint next_plane, global float *restrict next_wave) {
   const uint first = (uint)get_global_id(0) * VEC;
@@ -275,7 +277,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   coordinates[3] = SELECT(coordinates[3], guided_v, matte);
 #else
   (void)guide;
-  (void)guide_mean;
+  (void)guide_known;
 #endif
 #if RECORDED
   /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
@@ -306,17 +308,23 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   whole alive = on_surface && both_ways;
   alive = alive && (largest_of(ray.throughput) > 0.0f);
   if (bounce >= ROULETTE_BOUNCE) {
+#if GUIDED
+    /* How far what is ended may be from what stands for it, in what paths usually bring. */
+    const whole known = cell * KNOWN_FLOATS;
+    const real need = gather(guide_known, known + KNOWN_NEED) * mean_of(ray.throughput);
+    const real survival = clamp(ROULETTE_SCALE * need, (real)LEAST_SURVIVE, (real)MOST_SURVIVE);
+#else
     const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
-    const whole survives =
-        alive && (coordinates[4] < survival);
+#endif
+    const whole survives = alive && (coordinates[4] < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
 #if GUIDED
     /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
      * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
      * R for every c. */
-    const whole known = cell * GUIDE_CHANNELS;
     const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
-    const triple expected = sum_of((triple){(real)0.0f, (real)0.0f, (real)0.0f}, gather_triple(guide_mean, known), kept);
+    const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
+    const triple expected = sum_of(zero, gather_triple(guide_known, known + KNOWN_MEAN), kept);
     brought = sum_where(brought, product(ray.throughput, expected), alive && matte);
 #endif
     alive = survives;

@@ -80,7 +80,7 @@ class PathSource(SampleSource):
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
         self._guided = False
-        self._guide_densities, self._guide_means = (
+        self._guide_densities, self._guide_known = (
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
@@ -93,6 +93,7 @@ class PathSource(SampleSource):
             **defines,
             **wave_defines(),
             "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
+            "LEAST_SURVIVE": f"{tuning.LEAST_SURVIVE!r}f",
             "MOST_SURVIVE": f"{tuning.MOST_SURVIVE!r}f",
             **shadow_defines(len(scene.triangles) if few else 0),
             **ray_defines(),
@@ -123,7 +124,9 @@ class PathSource(SampleSource):
     def use_guide(self, guide: Guide) -> None:
         """Guide bounces behind the first."""
         self._guided = True
-        self._guide_densities, self._guide_means = (HostArray.of(self.device, a) for a in guide)
+        self._guide_densities, self._guide_known = (
+            HostArray.of(self.device, a) for a in (guide.densities, guide.known())
+        )
         self._choose_program()
 
     def _choose_program(self) -> None:
@@ -220,7 +223,7 @@ class PathSource(SampleSource):
         # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
         arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
         known = place != NO_RAY
-        self._recorder.add(place[known], arrived[:, known])
+        self._recorder.add(place[known], arrived[:, known], throughput[:, known])
 
     def _trace(self) -> None:
         """Closest hits of the rays under way, and which shadow rays reach their lights."""
@@ -264,7 +267,7 @@ class PathSource(SampleSource):
             casters=self._casters,
             guide_frame=self._frame,
             guide=self._guide_densities,
-            guide_mean=self._guide_means,
+            guide_known=self._guide_known,
             guide_place=self._place,
             plane=wave.plane,
             wave=wave.words,
