@@ -10,7 +10,7 @@ from __future__ import annotations
 # fewest that go on then, and the most: python bench/bench_tuning.py ROULETTE GUIDED_ROULETTE
 # LEAST_SURVIVE MOST_SURVIVE.
 ROULETTE = (2, 2.0)
-GUIDED_ROULETTE = (1, 1.5)
+GUIDED_ROULETTE = (2, 4.0)
 LEAST_SURVIVE = 0.05
 MOST_SURVIVE = 0.95
 
