@@ -10,6 +10,10 @@
  * own sum, one bounce after another, and random numbers follow from its name: so results do not depend on which ray
  * of a wave it gets.
  *
+ * Behind a guided path's second vertex there are BRANCHES paths, each for its share of the light: branch b of the
+ * path at a place is named b * places + place, `places` being those of the batch. A batch's first ray, with the
+ * sample's own cost, brings as much noise as one path behind it does, or less.
+ *
  * Where the scene is of few triangles (CASTERS, shadow.cl and closest.cl), shade_hits finds itself what rays hit, and
  * answers its shadow rays, which it only counts: the host has nothing to trace, and add_lit nothing to add.
  *
@@ -19,6 +23,9 @@
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
  * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
  */
+
+/* What branches add to the numbers of points, of which there are fewer, for other random numbers. */
+#define BRANCH_SEED 0x20000000u
 
 /* Throughput of one more bounce: f_r cos / density, zero below the surface. */
 triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
@@ -57,7 +64,10 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + at * RADIANCE_FLOATS + k * VEC);
+  for (uint branch = 0; branch < BRANCHES; ++branch) {
+    const ulong own = at + branch * (ulong)point_count * stride;
+    for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + own * RADIANCE_FLOATS + k * VEC);
+  }
 
   Ray ray;
   ray.origin = to_triple(ray_origin(&p));
@@ -162,11 +172,74 @@ triple light_met(global const float *restrict lights, const whole strips, const 
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }
 
+triple scaled(const triple t, const real factor) { return (triple){t.x * factor, t.y * factor, t.z * factor}; }
+
+/* From a surface that a path has reached to its next ray, by a point (u, v) of the square and a third number for
+ * roulette; returns which lanes go on. */
+whole next_ray(const Scatterer *s, const triple geometric_normal, const whole cell, const uint bounce,
+               global const uint *restrict guide, global const float *restrict guide_known, const real square_u,
+               const real square_v, const real chance, const whole reached, Ray *ray, triple *brought) {
+  real u = square_u;
+  real v = square_v;
+#if GUIDED
+  const whole matte = !is_shiny(s);
+  const real guided = guide_square(guide, cell, &u, &v);
+  const real inverse_guide = SELECT((real)1.0f, guided, matte);
+  u = SELECT(square_u, u, matte);
+  v = SELECT(square_v, v, matte);
+#else
+  (void)cell;
+  (void)guide;
+  (void)guide_known;
+  (void)brought;
+#endif
+  ray->direction = sample_scattering(s, u, v);
+  ray->density = scattering_density(s, ray->direction);
+  ray->throughput =
+      product(ray->throughput, bounce_throughput(s, geometric_normal, ray->direction, ray->density));
+  whole alive = reached && (largest_of(ray->throughput) > 0.0f);
+  if (bounce >= ROULETTE_BOUNCE) {
+#if GUIDED
+    /* How far what is ended may be from what stands for it, in what paths usually bring. */
+    const whole known = cell * KNOWN_FLOATS;
+    const real need = gather(guide_known, known + KNOWN_NEED) * mean_of(ray->throughput);
+    const real survival = clamp(ROULETTE_SCALE * need, (real)LEAST_SURVIVE, (real)MOST_SURVIVE);
+#else
+    const real survival = min(ROULETTE_SCALE * largest_of(ray->throughput), (real)MOST_SURVIVE);
+#endif
+    const whole survives = alive && (chance < survival);
+    const real scale_up = 1.0f / max(survival, (real)1e-20f);
+#if GUIDED
+    /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
+     * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
+     * R for every c. */
+    const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
+    const triple expected = scaled(gather_triple(guide_known, known + KNOWN_MEAN), kept);
+    *brought = sum_where(*brought, product(ray->throughput, expected), alive && matte);
+#endif
+    alive = survives;
+    ray->throughput = scaled(ray->throughput, scale_up);
+  }
+#if GUIDED
+  /* After roulette, which depends on the surface's throughput and not on the density of the direction.
+   * The MIS weight of light that the ray finds is that of an unguided ray: weights need only sum to
+   * one. */
+  ray->throughput = scaled(ray->throughput, inverse_guide);
+#endif
+  return alive && (largest_of(ray->throughput) > 0.0f);
+}
+
+/* x moved on by a part of the unit interval, from whose end it goes on at its beginning. */
+real moved_on(const real x, const float part) {
+  const real moved = x + part;
+  return min(moved - SELECT((real)0.0f, (real)1.0f, moved >= 1.0f), (real)BELOW_ONE);
+}
+
 /* Rays of `bounce` (the first is 1) and their hits. */
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
-                       const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
-                       global const float *restrict triangles, global const float *restrict lights,
+                       const uint stream, const uint seed_low, const uint seed_high, const uint places,
+                       global const uint *restrict order, global const float *restrict triangles, global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
                        global const uint *restrict guide, global const float *restrict guide_known,
                        global uint *restrict guide_place, const uint plane, global const float *restrict wave,
@@ -230,13 +303,20 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
   const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
   ray.origin = sum_of(position, geometric_normal, offset);
-  /* The path's sample: of which point, and which of its samples. */
-  /* Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
-  const bits slot = TO_BITS((TO_REAL(ray.path) + 0.5f) * inverse_stride);
-  const bits index = ray.path - slot * stride + first_sample;
+  /* The path's sample: of which point, and which of its samples.
+   * Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
+  bits place = ray.path;
+  bits branch_seed = (bits)0u;
+  for (uint branch = 1; branch < BRANCHES; ++branch) {
+    const whole later = place >= (bits)places;
+    place -= SELECT((bits)0u, (bits)places, later);
+    branch_seed += SELECT((bits)0u, (bits)BRANCH_SEED, later);
+  }
+  const bits slot = TO_BITS((TO_REAL(place) + 0.5f) * inverse_stride);
+  const bits index = place - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
   real coordinates[5];
-  sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
+  sample_nested(point + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
@@ -265,80 +345,41 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   append_rays(&shadow, is_cast, 1, next_plane, next_wave);
 #endif
 
-  real inverse_guide = (real)1.0f;
-#if GUIDED
-  const whole matte = !is_shiny(&s);
-  real guided_u = coordinates[2];
-  real guided_v = coordinates[3];
+#if GUIDED || RECORDED
   const whole cell = guide_cell(guide_frame, position, s.normal);
-  inverse_guide = guide_square(guide, cell, &guided_u, &guided_v);
-  inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
-  coordinates[2] = SELECT(coordinates[2], guided_u, matte);
-  coordinates[3] = SELECT(coordinates[3], guided_v, matte);
 #else
-  (void)guide;
-  (void)guide_known;
+  const whole cell = (whole)0;
+  (void)guide_frame;
 #endif
 #if RECORDED
   /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
   if (bounce == 1) {
-    const whole place =
-        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
-    uint places[VEC];
+    const whole bin = cell * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
+    uint places_there[VEC];
     uint names[VEC];
     int is_there[VEC];
-    STORE(SELECT(TO_BITS(place), (bits)NO_RAY, is_shiny(&s)), places);
+    STORE(SELECT(TO_BITS(bin), (bits)NO_RAY, is_shiny(&s)), places_there);
     STORE(ray.path, names);
     STORE(on_surface, is_there);
     for (uint lane = 0; lane < VEC; ++lane)
-      if (is_there[lane] != 0) guide_place[names[lane]] = places[lane];
+      if (is_there[lane] != 0) guide_place[names[lane]] = places_there[lane];
   }
 #else
   (void)guide_place;
 #endif
-#if !GUIDED && !RECORDED
-  (void)guide_frame;
-#endif
-  ray.direction = sample_scattering(&s, coordinates[2], coordinates[3]);
-  ray.density = scattering_density(&s, ray.direction);
-  const triple factor = bounce_throughput(&s, geometric_normal, ray.direction, ray.density);
-  ray.throughput.x *= factor.x;
-  ray.throughput.y *= factor.y;
-  ray.throughput.z *= factor.z;
-  whole alive = on_surface && both_ways;
-  alive = alive && (largest_of(ray.throughput) > 0.0f);
-  if (bounce >= ROULETTE_BOUNCE) {
-#if GUIDED
-    /* How far what is ended may be from what stands for it, in what paths usually bring. */
-    const whole known = cell * KNOWN_FLOATS;
-    const real need = gather(guide_known, known + KNOWN_NEED) * mean_of(ray.throughput);
-    const real survival = clamp(ROULETTE_SCALE * need, (real)LEAST_SURVIVE, (real)MOST_SURVIVE);
-#else
-    const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
-#endif
-    const whole survives = alive && (coordinates[4] < survival);
-    const real scale_up = 1.0f / max(survival, (real)1e-20f);
-#if GUIDED
-    /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
-     * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
-     * R for every c. */
-    const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
-    const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
-    const triple expected = sum_of(zero, gather_triple(guide_known, known + KNOWN_MEAN), kept);
-    brought = sum_where(brought, product(ray.throughput, expected), alive && matte);
-#endif
-    alive = survives;
-    ray.throughput.x *= scale_up;
-    ray.throughput.y *= scale_up;
-    ray.throughput.z *= scale_up;
+  const uint branches = bounce == 1 ? BRANCHES : 1;
+  const float share = 1.0f / (float)branches;
+  for (uint branch = 0; branch < branches; ++branch) {
+    /* Together they are spread better than by chance. */
+    const real u = moved_on(coordinates[2], (float)branch * share);
+    const real v = moved_on(coordinates[3], (float)branch * share);
+    Ray next = ray;
+    next.path += branch * places;
+    next.throughput = scaled(ray.throughput, (real)share);
+    const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
+                                 on_surface && both_ways, &next, &brought);
+    append_rays(&next, alive, 0, next_plane, next_wave);
   }
-  /* After roulette, which depends on the surface's throughput and not on the density of the direction.
-   * The MIS weight of light that the ray finds is that of an unguided ray: weights need only sum to
-   * one. */
-  ray.throughput.x *= inverse_guide;
-  ray.throughput.y *= inverse_guide;
-  ray.throughput.z *= inverse_guide;
-  append_rays(&ray, alive && (largest_of(ray.throughput) > 0.0f), 0, next_plane, next_wave);
   /* What roulette is expected to find may be negative. */
   add_radiance(brought, ray.path, here, radiance);
 }
@@ -349,6 +390,13 @@ kernel void add_lit(const uint count, const uint plane, global const float *rest
   if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
   global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
   for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
+}
+
+/* What all branches of the paths at `places` brought to a place. */
+float branch_sum(global const float *restrict first, const uint places) {
+  float sum = first[0];
+  for (uint branch = 1; branch < BRANCHES; ++branch) sum += first[branch * (ulong)places * RADIANCE_FLOATS];
+  return sum;
 }
 
 /* `most` caps what a path brings, by its largest channel. */
@@ -362,7 +410,7 @@ kernel void finish_paths(const uint count, const float most, global const uint *
 #pragma unroll
   for (uint lane = 0; lane < VEC; ++lane)
     for (uint channel = 0; channel < 3; ++channel)
-      sum[channel][lane] = radiance[(at + lane) * (ulong)RADIANCE_FLOATS + channel];
+      sum[channel][lane] = branch_sum(radiance + (at + lane) * (ulong)RADIANCE_FLOATS + channel, count);
   const triple brought = {LOAD(sum[0]), LOAD(sum[1]), LOAD(sum[2])};
   const real largest = largest_of(brought);
   const real scale = SELECT((real)1.0f, (real)most / largest, largest > most);

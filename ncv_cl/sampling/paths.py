@@ -100,13 +100,11 @@ class PathSource(SampleSource):
             **warp_defines(),
             **guide_defines(),
         }
+        self._branches = 0
         self._choose_program()
-        capacity = self._capacity
-        self._wave, self._next = (Wave(device, capacity) for _ in range(2))
-        self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
-        self._place = _zeros(device, capacity, np.uint32)
+        self._place = _zeros(device, self._capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
-        self._whole_slot = _zeros(device, capacity, np.uint32)
+        self._whole_slot = _zeros(device, self._capacity, np.uint32)
         self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
 
     def record_guide(self) -> None:
@@ -133,13 +131,22 @@ class PathSource(SampleSource):
         recorded = self._recorder is not None
         guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
+        self._make_room(tuning.BRANCHES if guided else 1)
         flags = {
+            "BRANCHES": f"{self._branches}u",
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
             "ROULETTE_BOUNCE": f"{bounce}u",
             "ROULETTE_SCALE": f"{scale!r}f",
         }
         self._paths = build(self.device, self._files, {**self._defines, **flags})
+
+    def _make_room(self, branches: int) -> None:
+        """For so many paths behind the second vertex of each sample's path."""
+        if branches != self._branches:
+            self._branches, most = branches, branches * self._capacity
+            self._wave, self._next = (Wave(self.device, most) for _ in range(2))
+            self._radiance = HostArray(self.device, (most, RADIANCE_FLOATS), np.float32)
 
     def draw(
         self,
@@ -249,7 +256,7 @@ class PathSource(SampleSource):
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
         """From hits to shadow rays and the next rays, which are then the wave."""
         wave, following = self._wave, self._next
-        following.make_room(wave.rays)
+        following.make_room(wave.rays * (self._branches if bounce == 1 else 1))
         self._paths.kernel("shade_hits")(
             -(-wave.rays // self.device.vector_width),
             count=wave.rays,
@@ -261,6 +268,7 @@ class PathSource(SampleSource):
             inverse_stride=1.0 / batch.stride,
             stream=stream,
             **self._seed,
+            places=len(batch.points) * batch.stride,
             order=batch.order,
             triangles=self._triangles,
             lights=self._data,

@@ -13,6 +13,9 @@ ROULETTE = (2, 2.0)
 GUIDED_ROULETTE = (2, 4.0)
 LEAST_SURVIVE = 0.05
 MOST_SURVIVE = 0.95
+# Paths behind the second vertex of a guided path, since what is left of a sample's variance is mostly
+# theirs: python bench/bench_tuning.py BRANCHES.
+BRANCHES = 2
 
 # What guides paths: boxes along each axis of the scene, the part of every density that is uniform, and
 # the samples that what is known of a cell, and of all cells, counts for: python bench/bench_tuning.py
