@@ -85,7 +85,17 @@ class PathSource(SampleSource):
         )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
-        self._files = (*surface, "warp", "guide", "shadow", "closest", "batch", "wave", "paths")
+        self._files = (
+            *surface,
+            "warp",
+            "guide",
+            "shadow",
+            "closest",
+            "batch",
+            "wave",
+            "vertex",
+            "paths",
+        )
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
