@@ -10,7 +10,7 @@ from __future__ import annotations
 # fewest that go on then, and the most: python bench/bench_tuning.py ROULETTE GUIDED_ROULETTE
 # LEAST_SURVIVE MOST_SURVIVE.
 ROULETTE = (2, 2.0)
-GUIDED_ROULETTE = (2, 4.0)
+GUIDED_ROULETTE = (2, 6.0)
 LEAST_SURVIVE = 0.05
 MOST_SURVIVE = 0.95
 # Paths behind the second vertex of a guided path, since what is left of a sample's variance is mostly
