@@ -156,7 +156,9 @@ class Case:
             "seconds": float(np.median([one["seconds"]["total"] for one in stats])),
             "stages": {name: float(np.median([one[name] for one in parts])) for name in parts[0]},
             "samples": float(np.mean([one["samples_per_point"] for one in stats])),
-            "rays": float(np.mean([one["rays_traced"] / one["points"] for one in stats])),
+            "rays": float(
+                np.mean([(one["rays_traced"] + one["rays_on_device"]) / one["points"] for one in stats])
+            ),
         }
 
 

@@ -187,10 +187,63 @@ def test_coordinates_of_bounces_are_uniform_and_independent(device, sampler):
     for row in coordinates:
         assert stats.kstest(row, "uniform").pvalue > 1e-4
     if sampler == "sobol":
-        # Each pair is a net: one point in each of 32 x 32 cells.
+        # From the third bounce on each pair is a net: one point in each of 32 x 32 cells.
         for pair in range(0, 4, 2):
-            cells = (found[0][pair : pair + 2] * 32).astype(int)
+            cells = (found[2][pair : pair + 2] * 32).astype(int)
             assert len(set(map(tuple, cells.T))) == count
+        # Before, each coordinate is, in as many parts as there are points.
+        for row in np.concatenate([one[:4] for one in found[:2]]):
+            assert len(set((row * count).astype(int))) == count
     # No two of different pairs go together: correlations stay within their deviations.
     correlation = np.corrcoef(coordinates)[np.triu_indices(len(coordinates), 1)]
     assert np.abs(correlation).max() < 5.5 / np.sqrt(count)
+
+
+SOBOL_KERNEL = """
+kernel void dimensions(const uint count, global const uint *index, global uint *result) {
+  const uint first = (uint)get_global_id(0) * VEC;
+  if (first >= count) return;
+  for (uint k = 2; k < SOBOL_DIMENSIONS; ++k)
+    STORE(reverse_bits(sobol_reversed(LOAD(index + first), k)), result + (k - 2) * count + first);
+}
+"""
+
+
+def test_dimensions_are_those_of_joe_and_kuo(device):
+    """As scipy has them, whose points come in the order of the Gray code."""
+    count = 1 << 12
+    exact = stats.qmc.Sobol(10, scramble=False, bits=32).random(count)
+    gray = np.arange(count, dtype=np.uint32)
+    gray ^= gray >> np.uint32(1)
+    kernel = bare_kernel(
+        device, ("common", "sampler"), sampler_defines("sobol"), SOBOL_KERNEL, "dimensions"
+    )
+    result = HostArray(device, (8, count), np.uint32)
+    kernel(count // device.vector_width, count=count, index=HostArray.of(device, gray), result=result)
+    np.testing.assert_array_equal(result.read().T, (exact[:, 2:] * 2.0**32).astype(np.uint32))
+    single = np.uint32(1) << np.arange(32, dtype=np.uint32)
+    kernel(32 // device.vector_width, count=32, index=HostArray.of(device, single), result=result)
+    found = result.read().ravel()[: 8 * 32].reshape(8, 32)
+    np.testing.assert_array_equal(found, direction_numbers())
+
+
+# Joe's and Kuo's table (new-joe-kuo-6.21201): degree, inner coefficients, first odd numbers.
+JOE_KUO = [
+    (2, (1,), (1, 3)), (3, (0, 1), (1, 3, 1)), (3, (1, 0), (1, 1, 1)), (4, (0, 0, 1), (1, 1, 3, 3)),
+    (4, (1, 0, 0), (1, 3, 5, 13)), (5, (0, 0, 1, 0), (1, 1, 5, 5, 17)),
+    (5, (0, 1, 0, 0), (1, 1, 5, 5, 5)), (5, (0, 1, 1, 1), (1, 1, 7, 11, 19)),
+]  # fmt: skip
+
+
+def direction_numbers():
+    """Of the dimensions 2 to 9, uint32 (8, 32), by the recurrence of odd numbers (Joe and Kuo 2008)."""
+    numbers = []
+    for degree, inner, first in JOE_KUO:
+        odd = list(first)
+        for k in range(degree, 32):
+            following = odd[k - degree] ^ odd[k - degree] << degree
+            for j, coefficient in enumerate(inner, 1):
+                following ^= coefficient * odd[k - j] << j
+            odd.append(following)
+        numbers.append([one << 31 - k for k, one in enumerate(odd)])
+    return np.array(numbers, np.uint32)

@@ -12,10 +12,11 @@
  *
  * Coordinates are multiples of 2^-24 in [0, 1).
  *
- * Paths need more dimensions: sample_nested gives two pairs a bounce. With Sobol points each pair is the same
- * two-dimensional sequence again, scrambled on its own and drawn in an order that is scrambled on its own
- * (padding, Burley 2020), so that pairs are independent of each other. Philox's counter is then (bounce,
- * point, stream, 1), and (sample, point, stream, 4 * bounce + 2) for independent points.
+ * Paths need more dimensions: sample_nested gives two pairs a bounce. With Sobol points those of the bounces 1 and 2 are
+ * the sequence's dimensions 2 to 9, well spread together with the square's own two. From then on each pair is the same
+ * two-dimensional sequence again, drawn in an order that is scrambled on its own (padding, Burley 2020), so that pairs
+ * are independent of each other. All are scrambled on their own. Philox's counter is then (bounce, point, stream, 1), and
+ * (sample, point, stream, 4 * bounce + 2) for independent points.
  *
  * Slices of the hemisphere (slices.cl) are samples of one dimension, v. With Sobol points sample_azimuths gives it the
  * van der Corput sequence under one digital shift a (point, stream): 2^k samples from a multiple of 2^k on are
@@ -91,6 +92,36 @@ bits sobol_second_reversed(const bits index) {
   return x;
 }
 
+/* Dimensions 2 to SOBOL_DIMENSIONS - 1 of the Sobol sequence, by Joe and Kuo (2008): the degree of each one's polynomial,
+ * its inner coefficients as bits, and the first direction numbers. */
+#define SOBOL_DIMENSIONS 10
+constant uint SOBOL_DEGREE[SOBOL_DIMENSIONS - 2] = {2, 3, 3, 4, 4, 5, 5, 5};
+constant uint SOBOL_POLYNOMIAL[SOBOL_DIMENSIONS - 2] = {1, 1, 2, 1, 4, 2, 4, 7};
+constant uint SOBOL_FIRST[SOBOL_DIMENSIONS - 2][5] = {{1, 3}, {1, 3, 1}, {1, 1, 1}, {1, 1, 3, 3}, {1, 3, 5, 13},
+                                                      {1, 1, 5, 5, 17}, {1, 1, 5, 5, 5}, {1, 1, 7, 11, 19}};
+
+/* One of them, bit-reversed. Unrolled, so that compilers find the direction numbers where they know the dimension. */
+bits sobol_reversed(const bits index, const uint dimension) {
+  const uint degree = SOBOL_DEGREE[dimension - 2];
+  const uint polynomial = SOBOL_POLYNOMIAL[dimension - 2];
+  uint direction[32];
+  bits x = (bits)0u;
+#pragma unroll
+  for (uint k = 0; k < 32; ++k) {
+    /* No index has higher bits. */
+    if (k % 8 == 0 && !ANY((index >> k) != 0u)) break;
+    if (k < degree) {
+      direction[k] = SOBOL_FIRST[dimension - 2][k] << (31 - k);
+    } else {
+      direction[k] = direction[k - degree] ^ (direction[k - degree] >> degree);
+      for (uint j = 1; j < degree; ++j)
+        if ((polynomial >> (degree - 1 - j) & 1u) != 0) direction[k] ^= direction[k - j];
+    }
+    x = SELECT(x, x ^ (bits)direction[k], (index >> k & 1u) != 0u);
+  }
+  return reverse_bits(x);
+}
+
 /* Samples `index` (VEC of them) of shading point `point` in the unit square. */
 void sample_square(const uint point, const bits index, const uint stream, const uint seed_low,
                    const uint seed_high, real *u, real *v) {
@@ -147,9 +178,20 @@ void sample_nested(const bits point, const bits index, const uint stream, const 
     const bits first_seed = mix_bits(seed + 0x9E3779B9u);
     const bits second_seed = mix_bits(first_seed + 0x9E3779B9u);
     seed = mix_bits(second_seed + 0x9E3779B9u);
-    const bits order = reverse_bits(owen_hash(reverse_bits(index), order_seed));
-    words[pair] ^= reverse_bits(owen_hash(order, first_seed));
-    words[pair + 1] ^= reverse_bits(owen_hash(sobol_second_reversed(order), second_seed));
+    bits first, second;
+    /* The direction goes before the point on a light: earlier dimensions are better spread. */
+    if (bounce == 1) {
+      first = sobol_reversed(index, 4 - pair);
+      second = sobol_reversed(index, 5 - pair);
+    } else if (bounce == 2) {
+      first = sobol_reversed(index, 8 - pair);
+      second = sobol_reversed(index, 9 - pair);
+    } else {
+      first = reverse_bits(owen_hash(reverse_bits(index), order_seed));
+      second = sobol_second_reversed(first);
+    }
+    words[pair] ^= reverse_bits(owen_hash(first, first_seed));
+    words[pair + 1] ^= reverse_bits(owen_hash(second, second_seed));
   }
 #else
   bits words[4] = {index, point, (bits)stream, (bits)(4u * bounce + 2u)};

@@ -6,8 +6,8 @@
  * matte surface's next direction are warped. guide_frame: a record of FRAME in guide.py, the box's lower
  * corner and one over the extent of its cells.
  *
- * `guide_mean` holds GUIDE_CHANNELS floats a cell: the mean over the square of the radiance that arrives
- * there from other surfaces. Roulette adds it in place of the path that it ends (paths.cl).
+ * `guide_known` holds a record of KNOWN a cell: the mean over the square of the radiance that arrives there from other
+ * surfaces, which roulette adds in place of the path that it ends, and how far from it a path may be (paths.cl).
  *
  * Joined after warp.cl, whose warp_axis applies one row of a record to a coordinate.
  *

@@ -10,38 +10,21 @@
  * own sum, one bounce after another, and random numbers follow from its name: so results do not depend on which ray
  * of a wave it gets.
  *
- * Where the scene is of few triangles (CASTERS, shadow.cl), shade_hits answers its shadow rays itself and only counts
- * them; there is then nothing for add_lit.
+ * Behind a guided path's second vertex there are BRANCHES paths, each for its share of the light: branch b of the
+ * path at a place is named b * places + place, `places` being those of the batch. Most of a sample's noise comes from
+ * there, and half of its cost lies before.
  *
- * `triangles`: records of triangles.py. With HAS_SPECULAR they have reflectance and roughness, with HAS_EMISSION
- * emission, with HAS_NORMALS the corners' normals. Both sides are alike.
+ * Where the scene is of few triangles (CASTERS, shadow.cl and closest.cl), shade_hits finds itself what rays hit, and
+ * answers its shadow rays, which it only counts: the host has nothing to trace, and add_lit nothing to add.
+ *
+ * vertex.cl has what happens at a surface. `triangles`: its records.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
  * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
  */
 
-/* Throughput of one more bounce: f_r cos / density, zero below the surface. */
-triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
-                         const real density) {
-  real f_r[3];
-  scattering(s, towards, f_r);
-  const real cosine = dot_triple(s->normal, towards);
-  const whole above = (cosine > 0.0f) && (dot_triple(geometric_normal, towards) > 0.0f) && (density > 0.0f);
-  const real scale = SELECT((real)0.0f, cosine / density, above);
-  return (triple){SELECT((real)0.0f, f_r[0] * scale, above), SELECT((real)0.0f, f_r[1] * scale, above),
-                  SELECT((real)0.0f, f_r[2] * scale, above)};
-}
-
-real largest_of(const triple t) { return max(t.x, max(t.y, t.z)); }
-
-whole is_shiny(const Scatterer *s) {
-#if HAS_SPECULAR
-  return s->reflectance.x + s->reflectance.y + s->reflectance.z > 0.0f;
-#else
-  (void)s;
-  return (whole)0;
-#endif
-}
+/* What branches add to the numbers of points, of which there are fewer, for other random numbers. */
+#define BRANCH_SEED 0x20000000u
 
 kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
                         const uint sample_count, const uint stride, const uint max_depth,
@@ -55,7 +38,10 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + at * RADIANCE_FLOATS + k * VEC);
+  for (uint branch = 0; branch < BRANCHES; ++branch) {
+    const ulong own = at + branch * (ulong)point_count * stride;
+    for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + own * RADIANCE_FLOATS + k * VEC);
+  }
 
   Ray ray;
   ray.origin = to_triple(ray_origin(&p));
@@ -77,50 +63,6 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   append_rays(&ray, alive, 0, plane, wave);
 }
 
-triple sum_of(const triple a, const triple b, const real factor) {
-  return (triple){FMA(factor, b.x, a.x), FMA(factor, b.y, a.y), FMA(factor, b.z, a.z)};
-}
-
-triple turned(const triple t, const whole turn) {
-  return (triple){SELECT(t.x, -t.x, turn), SELECT(t.y, -t.y, turn), SELECT(t.z, -t.z, turn)};
-}
-
-/* Where rays hit. The position along the ray is moved onto the triangle's plane, for the offset to suffice. */
-void load_hit(global const float *restrict triangles, const whole at, const triple along, const real b1, const real b2,
-              const triple outgoing, triple *position, triple *geometric_normal, Scatterer *s) {
-  const triple own = gather_triple(triangles, at + TRIANGLE_NORMAL);
-  const real above = dot_triple(own, along) - gather(triangles, at + TRIANGLE_DISTANCE);
-  *position = sum_of(along, own, -above);
-  *geometric_normal = turned(own, dot_triple(own, outgoing) < 0.0f);
-  s->normal = *geometric_normal;
-  s->outgoing = outgoing;
-  s->albedo = gather_triple(triangles, at + TRIANGLE_ALBEDO);
-#if HAS_SPECULAR
-  s->reflectance = gather_triple(triangles, at + TRIANGLE_REFLECTANCE);
-  s->roughness = gather(triangles, at + TRIANGLE_ROUGHNESS);
-#endif
-#if HAS_NORMALS
-  const whole smooth = gather(triangles, at + TRIANGLE_OFFSET) < 0.0f;
-  if (ANY(smooth)) {
-    const triple corner0 = gather_triple(triangles, at + TRIANGLE_NORMAL_0);
-    const triple corner1 = gather_triple(triangles, at + TRIANGLE_NORMAL_1);
-    const triple corner2 = gather_triple(triangles, at + TRIANGLE_NORMAL_2);
-    const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
-    triple normal = sum_of(sum_of(sum_of(zero, corner0, 1.0f - b1 - b2), corner1, b1), corner2, b2);
-    normal = turned(normal, dot_triple(normal, *geometric_normal) < 0.0f);
-    const real length2 = dot_triple(normal, normal);
-    const real inverse = rsqrt(max(length2, (real)1e-30f));
-    const whole usable = smooth && (length2 > 0.0f) && (dot_triple(normal, outgoing) > 0.0f);
-    s->normal.x = SELECT(s->normal.x, normal.x * inverse, usable);
-    s->normal.y = SELECT(s->normal.y, normal.y * inverse, usable);
-    s->normal.z = SELECT(s->normal.z, normal.z * inverse, usable);
-  }
-#else
-  (void)b1;
-  (void)b2;
-#endif
-}
-
 /* Adds to the sums of lanes that are `here`. */
 void add_radiance(const triple brought, const bits path, const whole here, global float *restrict radiance) {
   float added[3][VEC];
@@ -138,52 +80,36 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
     }
 }
 
-/* a + b where `here`. */
-triple sum_where(const triple a, const triple b, const whole here) {
-  return (triple){SELECT(a.x, a.x + b.x, here), SELECT(a.y, a.y + b.y, here), SELECT(a.z, a.z + b.z, here)};
-}
-
-triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y * b.y, a.z * b.z}; }
-
-/* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
- * the ray's `density` is. */
-triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
-                 const triple direction, const real distance, const real density) {
-  const whole record = max(light, (whole)0) * LIGHT_FLOATS;
-  const real emitted = -dot_triple(light_triple(lights, record, LIGHT_NORMAL), direction);
-  const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
-  const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
-  const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
-  const real share = density / (density + other);
-  const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
-  const triple amount = light_triple(lights, record, LIGHT_RADIANCE);
-  return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
-}
-
 /* Rays of `bounce` (the first is 1) and their hits. */
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
-                       const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
-                       global const float *restrict triangles, global const float *restrict lights,
+                       const uint stream, const uint seed_low, const uint seed_high, const uint places,
+                       global const uint *restrict order, global const float *restrict triangles, global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
-                       global const uint *restrict guide, global const float *restrict guide_mean,
+                       global const uint *restrict guide, global const float *restrict guide_known,
                        global uint *restrict guide_place, const uint plane, global const float *restrict wave,
                        global float *restrict radiance, const uint next_plane, global float *restrict next_wave) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
   const whole here = LANE_NUMBER + first < (bits)count;
-  const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here);
-  const whole at = max(triangle, (whole)0) * TRIANGLE_FLOATS;
   const triple origin = load_planes(wave, WAVE_ORIGIN, plane, first);
   const triple direction = load_planes(wave, WAVE_DIRECTION, plane, first);
   const triple outgoing = {-direction.x, -direction.y, -direction.z};
-  const real distance = LOAD(PLANE(wave, WAVE_DISTANCE) + first);
+#if CASTERS
+  const Hit hit = closest_hit(casters, origin, direction, here);
+#else
+  (void)casters;
+  const Hit hit = {SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here),
+                   LOAD(PLANE(wave, WAVE_DISTANCE) + first), LOAD(PLANE(wave, WAVE_U) + first),
+                   LOAD(PLANE(wave, WAVE_V) + first)};
+#endif
+  const whole at = max(hit.triangle, (whole)0) * TRIANGLE_FLOATS;
   Ray ray;
   ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
   /* Lanes past the last ray may read a path number of an earlier, larger batch. */
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
-  const whole met = triangle >= 0;
+  const whole met = hit.triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
   /* A light ends the path. */
@@ -196,14 +122,14 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #else
     const whole left = all_strips(lights);
 #endif
-    const triple found = light_met(lights, left, light, origin, direction, distance, density);
+    const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
-           LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
+  load_hit(triangles, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position, &geometric_normal,
+           &s);
 #if HAS_EMISSION
   const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
@@ -222,13 +148,20 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
   const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
   ray.origin = sum_of(position, geometric_normal, offset);
-  /* The path's sample: of which point, and which of its samples. */
-  /* Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
-  const bits slot = TO_BITS((TO_REAL(ray.path) + 0.5f) * inverse_stride);
-  const bits index = ray.path - slot * stride + first_sample;
+  /* The path's sample: of which point, and which of its samples.
+   * Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
+  bits place = ray.path;
+  bits branch_seed = (bits)0u;
+  for (uint branch = 1; branch < BRANCHES; ++branch) {
+    const whole later = place >= (bits)places;
+    place -= SELECT((bits)0u, (bits)places, later);
+    branch_seed += SELECT((bits)0u, (bits)BRANCH_SEED, later);
+  }
+  const bits slot = TO_BITS((TO_REAL(place) + 0.5f) * inverse_stride);
+  const bits index = place - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
   real coordinates[5];
-  sample_nested(point, index, stream, bounce, seed_low, seed_high, coordinates);
+  sample_nested(point + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
@@ -254,78 +187,44 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   count_shadow_rays(is_cast, next_wave);
   brought = sum_where(brought, shadow.throughput, reaches_light(casters, shadow.origin, shadow.direction, is_cast));
 #else
-  (void)casters;
   append_rays(&shadow, is_cast, 1, next_plane, next_wave);
 #endif
 
-  real inverse_guide = (real)1.0f;
-#if GUIDED
-  const whole matte = !is_shiny(&s);
-  real guided_u = coordinates[2];
-  real guided_v = coordinates[3];
+#if GUIDED || RECORDED
   const whole cell = guide_cell(guide_frame, position, s.normal);
-  inverse_guide = guide_square(guide, cell, &guided_u, &guided_v);
-  inverse_guide = SELECT((real)1.0f, inverse_guide, matte);
-  coordinates[2] = SELECT(coordinates[2], guided_u, matte);
-  coordinates[3] = SELECT(coordinates[3], guided_v, matte);
 #else
-  (void)guide;
-  (void)guide_mean;
+  const whole cell = (whole)0;
+  (void)guide_frame;
 #endif
 #if RECORDED
   /* Where the first hit's next ray goes; nowhere for shiny surfaces, whose square is another. */
   if (bounce == 1) {
-    const whole place =
-        guide_cell(guide_frame, position, s.normal) * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
-    uint places[VEC];
+    const whole bin = cell * (DENSITY_BINS * DENSITY_BINS) + guide_bin(coordinates[2], coordinates[3]);
+    uint places_there[VEC];
     uint names[VEC];
     int is_there[VEC];
-    STORE(SELECT(TO_BITS(place), (bits)NO_RAY, is_shiny(&s)), places);
+    STORE(SELECT(TO_BITS(bin), (bits)NO_RAY, is_shiny(&s)), places_there);
     STORE(ray.path, names);
     STORE(on_surface, is_there);
     for (uint lane = 0; lane < VEC; ++lane)
-      if (is_there[lane] != 0) guide_place[names[lane]] = places[lane];
+      if (is_there[lane] != 0) guide_place[names[lane]] = places_there[lane];
   }
 #else
   (void)guide_place;
 #endif
-#if !GUIDED && !RECORDED
-  (void)guide_frame;
-#endif
-  ray.direction = sample_scattering(&s, coordinates[2], coordinates[3]);
-  ray.density = scattering_density(&s, ray.direction);
-  const triple factor = bounce_throughput(&s, geometric_normal, ray.direction, ray.density);
-  ray.throughput.x *= factor.x;
-  ray.throughput.y *= factor.y;
-  ray.throughput.z *= factor.z;
-  whole alive = on_surface && both_ways;
-  alive = alive && (largest_of(ray.throughput) > 0.0f);
-  if (bounce >= ROULETTE_BOUNCE) {
-    const real survival = min(ROULETTE_SCALE * largest_of(ray.throughput), (real)MOST_SURVIVE);
-    const whole survives =
-        alive && (coordinates[4] < survival);
-    const real scale_up = 1.0f / max(survival, (real)1e-20f);
-#if GUIDED
-    /* With R the radiance of the rest of the path and c the cell's mean: c is added in any case, and
-     * roulette decides on the difference alone. The sum is c + (R - c) / survival or c, with expectation
-     * R for every c. */
-    const whole known = cell * GUIDE_CHANNELS;
-    const real kept = 1.0f - SELECT((real)0.0f, scale_up, survives);
-    const triple expected = sum_of((triple){(real)0.0f, (real)0.0f, (real)0.0f}, gather_triple(guide_mean, known), kept);
-    brought = sum_where(brought, product(ray.throughput, expected), alive && matte);
-#endif
-    alive = survives;
-    ray.throughput.x *= scale_up;
-    ray.throughput.y *= scale_up;
-    ray.throughput.z *= scale_up;
+  const uint branches = bounce == 1 ? BRANCHES : 1;
+  const float share = 1.0f / (float)branches;
+  for (uint branch = 0; branch < branches; ++branch) {
+    /* Together they are spread better than by chance. */
+    const real u = moved_on(coordinates[2], (float)branch * share);
+    const real v = moved_on(coordinates[3], (float)branch * share);
+    Ray next = ray;
+    next.path += branch * places;
+    next.throughput = scaled(ray.throughput, (real)share);
+    const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
+                                 on_surface && both_ways, &next, &brought);
+    append_rays(&next, alive, 0, next_plane, next_wave);
   }
-  /* After roulette, which depends on the surface's throughput and not on the density of the direction.
-   * The MIS weight of light that the ray finds is that of an unguided ray: weights need only sum to
-   * one. */
-  ray.throughput.x *= inverse_guide;
-  ray.throughput.y *= inverse_guide;
-  ray.throughput.z *= inverse_guide;
-  append_rays(&ray, alive && (largest_of(ray.throughput) > 0.0f), 0, next_plane, next_wave);
   /* What roulette is expected to find may be negative. */
   add_radiance(brought, ray.path, here, radiance);
 }
@@ -336,6 +235,13 @@ kernel void add_lit(const uint count, const uint plane, global const float *rest
   if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
   global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
   for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
+}
+
+/* What all branches of the paths at `places` brought to a place. */
+float branch_sum(global const float *restrict first, const uint places) {
+  float sum = first[0];
+  for (uint branch = 1; branch < BRANCHES; ++branch) sum += first[branch * (ulong)places * RADIANCE_FLOATS];
+  return sum;
 }
 
 /* `most` caps what a path brings, by its largest channel. */
@@ -349,7 +255,7 @@ kernel void finish_paths(const uint count, const float most, global const uint *
 #pragma unroll
   for (uint lane = 0; lane < VEC; ++lane)
     for (uint channel = 0; channel < 3; ++channel)
-      sum[channel][lane] = radiance[(at + lane) * (ulong)RADIANCE_FLOATS + channel];
+      sum[channel][lane] = branch_sum(radiance + (at + lane) * (ulong)RADIANCE_FLOATS + channel, count);
   const triple brought = {LOAD(sum[0]), LOAD(sum[1]), LOAD(sum[2])};
   const real largest = largest_of(brought);
   const real scale = SELECT((real)1.0f, (real)most / largest, largest > most);

@@ -125,7 +125,8 @@ class Checkpoint:
         guide = None
         if "guide_means" in arrays:
             densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
-            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3)))
+            means = array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3))
+            guide = Guide(densities, means, array_of(arrays, "guide_needs", np.float32, (GUIDE_CELLS,)))
         points = (ANY, ANY)
         return cls(
             about["identity"],

@@ -55,7 +55,7 @@ class PathSource(SampleSource):
     Parameters as for `SampleSource`, and
 
     shadows_tested : bool
-        Test shadow rays behind the first bounce on the device where the scene is of few triangles.
+        Whether kernels find what paths and their shadow rays hit, where the scene is of few triangles.
     """
 
     def __init__(
@@ -75,17 +75,27 @@ class PathSource(SampleSource):
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
+        few = self._few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
         self._guided = False
-        self._guide_densities, self._guide_means = (
+        self._guide_densities, self._guide_known = (
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
-        self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
+        self._files = (
+            *surface,
+            "warp",
+            "guide",
+            "shadow",
+            "closest",
+            "batch",
+            "wave",
+            "vertex",
+            "paths",
+        )
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -93,19 +103,18 @@ class PathSource(SampleSource):
             **defines,
             **wave_defines(),
             "RADIANCE_FLOATS": f"{RADIANCE_FLOATS}u",
+            "LEAST_SURVIVE": f"{tuning.LEAST_SURVIVE!r}f",
             "MOST_SURVIVE": f"{tuning.MOST_SURVIVE!r}f",
             **shadow_defines(len(scene.triangles) if few else 0),
             **ray_defines(),
             **warp_defines(),
             **guide_defines(),
         }
+        self._branches = 0
         self._choose_program()
-        capacity = self._capacity
-        self._wave, self._next = (Wave(device, capacity, few) for _ in range(2))
-        self._radiance = HostArray(device, (capacity, RADIANCE_FLOATS), np.float32)
-        self._place = _zeros(device, capacity, np.uint32)
+        self._place = _zeros(device, self._capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
-        self._whole_slot = _zeros(device, capacity, np.uint32)
+        self._whole_slot = _zeros(device, self._capacity, np.uint32)
         self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
 
     def record_guide(self) -> None:
@@ -123,20 +132,31 @@ class PathSource(SampleSource):
     def use_guide(self, guide: Guide) -> None:
         """Guide bounces behind the first."""
         self._guided = True
-        self._guide_densities, self._guide_means = (HostArray.of(self.device, a) for a in guide)
+        self._guide_densities, self._guide_known = (
+            HostArray.of(self.device, a) for a in (guide.densities, guide.known())
+        )
         self._choose_program()
 
     def _choose_program(self) -> None:
         recorded = self._recorder is not None
         guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
+        self._make_room(tuning.BRANCHES if guided else 1)
         flags = {
+            "BRANCHES": f"{self._branches}u",
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
             "ROULETTE_BOUNCE": f"{bounce}u",
             "ROULETTE_SCALE": f"{scale!r}f",
         }
         self._paths = build(self.device, self._files, {**self._defines, **flags})
+
+    def _make_room(self, branches: int) -> None:
+        """For so many paths behind the second vertex of each sample's path."""
+        if branches != self._branches:
+            self._branches, most = branches, branches * self._capacity
+            self._wave, self._next = (Wave(self.device, most) for _ in range(2))
+            self._radiance = HostArray(self.device, (most, RADIANCE_FLOATS), np.float32)
 
     def draw(
         self,
@@ -220,13 +240,16 @@ class PathSource(SampleSource):
         # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
         arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
         known = place != NO_RAY
-        self._recorder.add(place[known], arrived[:, known])
+        self._recorder.add(place[known], arrived[:, known], throughput[:, known])
 
     def _trace(self) -> None:
         """Closest hits of the rays under way, and which shadow rays reach their lights."""
+        if self._few:
+            self._wave.count()
+            self.rays.on_device += self._wave.tested
+            return
         self.rays.trace_seconds += self._wave.trace(self._tracer)
         self.rays.traced += self._wave.rays + self._wave.shadows
-        self.rays.on_device += self._wave.tested
 
     def _add_lit(self) -> None:
         """Add what shadow rays found visible."""
@@ -243,7 +266,7 @@ class PathSource(SampleSource):
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
         """From hits to shadow rays and the next rays, which are then the wave."""
         wave, following = self._wave, self._next
-        following.make_room(wave.rays)
+        following.make_room(wave.rays * (self._branches if bounce == 1 else 1))
         self._paths.kernel("shade_hits")(
             -(-wave.rays // self.device.vector_width),
             count=wave.rays,
@@ -255,13 +278,14 @@ class PathSource(SampleSource):
             inverse_stride=1.0 / batch.stride,
             stream=stream,
             **self._seed,
+            places=len(batch.points) * batch.stride,
             order=batch.order,
             triangles=self._triangles,
             lights=self._data,
             casters=self._casters,
             guide_frame=self._frame,
             guide=self._guide_densities,
-            guide_mean=self._guide_means,
+            guide_known=self._guide_known,
             guide_place=self._place,
             plane=wave.plane,
             wave=wave.words,

@@ -47,7 +47,8 @@ class RayCount:
     ----------
     traced, skipped : int
     on_device : int
-        Answered by testing a point's few occluders, or by whole lines or slices.
+        Answered by testing a point's few occluders or a scene's few triangles, or by whole lines or
+        slices.
     off_lines : int
         Samples that no line or slice was found for, or one with too much in its way to be kept.
     trace_seconds, sample_seconds : float

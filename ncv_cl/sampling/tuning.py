@@ -5,16 +5,21 @@
 
 from __future__ import annotations
 
-# Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on, plain
-# and where the mean of what is ended is known; the most that go on: python bench/bench_tuning.py
-# ROULETTE GUIDED_ROULETTE MOST_SURVIVE.
+# Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; where
+# the mean of what is ended is known, of its deviation from that (Guide.needs) times the throughput; the
+# fewest that go on then, and the most: python bench/bench_tuning.py ROULETTE GUIDED_ROULETTE
+# LEAST_SURVIVE MOST_SURVIVE.
 ROULETTE = (2, 2.0)
-GUIDED_ROULETTE = (2, 3.0)
+GUIDED_ROULETTE = (2, 6.0)
+LEAST_SURVIVE = 0.05
 MOST_SURVIVE = 0.95
+# Paths behind the second vertex of a guided path, since what is left of a sample's variance is mostly
+# theirs: python bench/bench_tuning.py BRANCHES.
+BRANCHES = 2
 
 # What guides paths: boxes along each axis of the scene, the part of every density that is uniform, and
 # the samples that what is known of a cell, and of all cells, counts for: python bench/bench_tuning.py
 # GUIDE_SIDE GUIDE_UNIFORM_SHARE GUIDE_PRIOR_SAMPLES.
 GUIDE_SIDE = 8
 GUIDE_UNIFORM_SHARE = 0.3
-GUIDE_PRIOR_SAMPLES = 8.0
+GUIDE_PRIOR_SAMPLES = 16.0

@@ -55,8 +55,6 @@ class Wave:
     device
     capacity : int
         Most rays of each kind.
-    shadows_tested : bool
-        Whether shadow rays are but counted, as kernels answer them.
 
     Attributes
     ----------
@@ -65,12 +63,11 @@ class Wave:
     plane : int
         Elements of a plane.
     rays, shadows, tested : int
-        Numbers of path rays, of shadow rays, and of shadow rays that kernels have answered.
+        Numbers of path rays, of shadow rays to be traced, and of rays of both kinds that kernels answer.
     """
 
-    def __init__(self, device: Device, capacity: int, shadows_tested: bool) -> None:
+    def __init__(self, device: Device, capacity: int) -> None:
         self._width = device.vector_width
-        self._shadows_tested = shadows_tested
         self.words = HostArray(device, HEADER + PLANES.size * self._plane_of(capacity), np.float32)
         self.words.fill(0)
         self.plane = self.rays = self.shadows = self.tested = 0
@@ -91,8 +88,6 @@ class Wave:
             counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
             self.rays, self.shadows = counts.tolist()
             counts[:] = 0
-            if self._shadows_tested:
-                self.tested, self.shadows = self.shadows, 0
             planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
             rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
             triangle, u, v, distance = (
@@ -107,6 +102,14 @@ class Wave:
                 planes[PLANES["lit"].start].view(np.uint8)[: self.shadows],
             )
             return time.perf_counter() - started
+
+    def count(self) -> None:
+        """Count what kernels have appended and answer themselves, and leave the counts at zero."""
+        with self.words.mapped(count=HEADER, update=True) as words:
+            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
+            self.rays, tested = counts.tolist()
+            counts[:] = 0
+        self.tested = self.rays + tested
 
     def under_way(self) -> tuple[np.ndarray, np.ndarray]:
         """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""

@@ -12,7 +12,7 @@ MOST_LIGHTS = 8
 # Blocks of VEC rays of one point that one work-item draws and tests: python bench/bench_tuning.py
 # BLOCKS_A_ITEM.
 BLOCKS_A_ITEM = 4
-# Triangles of a scene whose paths' shadow rays are each tested against all of them instead of traced:
+# Triangles of a scene whose paths' rays are each tested against all of them instead of traced:
 # python bench/bench_tuning.py MOST_CASTERS, on a Cornell box cut into 128 triangles.
 MOST_CASTERS = 128
 
