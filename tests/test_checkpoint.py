@@ -196,8 +196,8 @@ def test_a_killed_process_loses_at_most_one_pass(one_device, scenes, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         found = Checkpoint.load(file)
-        assert found.passes > 0
+        assert found.image.passes > 0
         # What there is are whole passes of all points.
-        samples = found.states[0][1]
+        samples = found.image.states[0][1]
         assert (samples == samples[0]).all() and samples[0] > 0
-        assert np.isfinite(found.states[0][0]).all()
+        assert np.isfinite(found.image.states[0][0]).all()

@@ -16,7 +16,6 @@ from ncv_cl.estimation.passes import short_pass_edges
 from ncv_cl.estimation.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping
 from ncv_cl.host.clock import Clock, OutOfTime, Run
 from ncv_cl.integrands.lights import narrowest_strip
-from ncv_cl.rendering.split import render_split
 
 # A floor under a weak light; a strong one shines on the floor's other side, seen by none of its points.
 TWO_LIGHTS = """
@@ -160,7 +159,7 @@ WAYS = [
     ("gi", {"method": "mc"}),
     ("gi", {"method": "ncv"}),
     ("gi", {"method": "auto"}),
-    ("split", {"method": "ncv"}),
+    ("gi", {"method": "ncv", "split_direct": "off"}),
 ]
 
 
@@ -176,8 +175,6 @@ def test_every_method_ends_in_time(one_device, scenes, integrand, options, limit
     scene = scenes / ("occluders.toml" if integrand == "ao" else "interior.toml")
 
     def picture(**more):
-        if integrand == "split":
-            return render_split(scene, "gi", device=one_device, size=(64, 64), **options, **more)
         return render(scene, integrand, device=one_device, size=(64, 64), **options, **more)
 
     # No limit interrupts the compilation of kernels.

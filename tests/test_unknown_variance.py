@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from ncv_cl.rendering.split import render_split
 
 from ncv_cl import Image, render
 from ncv_cl.cli import main
@@ -13,7 +14,6 @@ from ncv_cl.estimation.calibrate import calibrate, local_mean, steadied
 from ncv_cl.estimation.pilot import allocate_by_pilot
 from ncv_cl.output.report import finite
 from ncv_cl.output.resolve import combine
-from ncv_cl.rendering.split import render_split
 from ncv_cl.sampling.accumulate import Estimate
 
 SIZE = (24, 20)

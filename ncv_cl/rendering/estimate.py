@@ -103,7 +103,7 @@ def estimate(
         training = Training()
     groups = gathered({"sampling": sampling, "training": training, "stopping": stopping}, options)
     settings = Settings(HostIntegrand(channels), method, spp, (points, 1), seed, **groups)
-    unused = {"supersample", "visibility", "skip_dark"} & set(changed(settings.sampling))
+    unused = {"supersample", "visibility", "split_direct", "skip_dark"} & set(changed(settings.sampling))
     if unused or settings.allocation == "pilot":
         raise ValueError(f"{sorted(unused)[0] if unused else 'allocation pilot'} is for scenes")
     device = choose_device(device)

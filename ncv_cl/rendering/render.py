@@ -171,4 +171,5 @@ def _image(scene: Scene, settings: Settings, run: Run, problem: Problem, outcome
             drawn.residual,
             outcome.integral,
             outcome.by_count,
+            drawn.direct,
         )

@@ -47,6 +47,9 @@ class Sampling:
         shadow rays that few triangles can block on the device. "embree": trace all of them; pixels
         differ from those by points where a ray grazes an edge. "auto": lines in direct light, where the
         triangles before the lights are known at nearly all points; else points.
+    split_direct : {"auto", "on", "off"}
+        Global illumination: estimate direct light apart from the light of paths ("on"), by samples of
+        its own, or both by the same samples ("off"). "auto": apart where it can be sampled along lines.
     skip_dark : bool
         Leave out points that face away from every light, whose value is zero, or, to compare,
         compute them as well.
@@ -56,6 +59,7 @@ class Sampling:
     supersample: int = 1
     allocation: Literal["magnitude", "pilot", "uniform"] | None = None
     visibility: Literal["auto", "lines", "points", "embree"] = "auto"
+    split_direct: Literal["auto", "on", "off"] = "auto"
     skip_dark: bool = True
 
     def __post_init__(self) -> None:

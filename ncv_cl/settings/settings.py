@@ -61,6 +61,11 @@ class Settings:
         seed_words(self.seed)
         object.__setattr__(self, "seed", int(self.seed))
         self._check_method()
+        if self.sampling.split_direct != "auto" and not self.integrand.splits:
+            raise ValueError(
+                "split_direct is for integrand gi with its direct light: leave it out for "
+                f"{self.integrand.name}"
+            )
         by_lines = self.integrand.promises("along_lines") or self.integrand.promises("sliced")
         if self.sampling.visibility == "lines" and not by_lines:
             raise ValueError(
