@@ -55,9 +55,9 @@ VARIANTS = {
     "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
     "slides": {"method": "ncv", "preset": "slides", "train_spp": 16},
     "ncv, unguided": {"method": "ncv", "guided": False},
-    "ncv, uniform": {"method": "ncv", "density": "none", "allocation": "uniform"},
-    "ncv, density": {"method": "ncv", "allocation": "uniform"},
-    "ncv, allocation": {"method": "ncv", "density": "none"},
+    "ncv, no density": {"method": "ncv", "density": "none"},
+    "ncv, by magnitude": {"method": "ncv", "allocation": "magnitude"},
+    "ncv, relative": {"method": "ncv", "allocation": "relative"},
     "ncv": {"method": "ncv"},
     "ncv, one part": {"method": "ncv", "split_direct": "off"},
 }

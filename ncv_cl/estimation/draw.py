@@ -10,13 +10,13 @@ import numpy as np
 from ..host.clock import Run
 from ..sampling.accumulate import Estimate
 from ..sampling.problem import Problem
-from ..settings.settings import Settings
+from ..settings.settings import BY_RESIDUAL, Settings
 from .allocate import Allocation, allocate
 from .control_variate import ControlVariate
 from .direct import DirectEstimate
 from .image_estimate import ImageEstimate
 from .passes import edges_of
-from .pilot import allocate_by_pilot
+from .pilot import allocate_by_pilot, expected, scales
 from .stopping import ErrorTarget, Stopping
 
 
@@ -46,14 +46,29 @@ class Drawn:
 
 
 def allocation_of(
-    problem: Problem, settings: Settings, variate: ControlVariate | None, pilot: Estimate | None
+    problem: Problem,
+    settings: Settings,
+    variate: ControlVariate | None,
+    before: Estimate | None,
+    direct: DirectEstimate | None = None,
 ) -> Allocation:
-    """How many samples each point gets."""
+    """How many samples each point gets.
+
+    Parameters
+    ----------
+    before : Estimate, optional
+        Of f, from the samples of training or of a pilot.
+    direct : DirectEstimate, optional
+        Of light that f leaves out.
+    """
     by_residual = variate is not None and variate.density is not None
-    if by_residual and settings.allocation == "magnitude":
-        return Allocation.of_counts(allocate(variate.density.magnitude, settings.spp))
-    if pilot is not None and settings.allocation == "pilot":
-        return allocate_by_pilot(pilot, settings.spp)
+    if by_residual and settings.allocation in BY_RESIDUAL:
+        magnitude = variate.density.magnitude
+        if settings.allocation == "relative":
+            magnitude = magnitude / scales(expected(problem, settings, variate, before, direct))
+        return Allocation.of_counts(allocate(magnitude, settings.spp))
+    if before is not None and settings.allocation == "pilot":
+        return allocate_by_pilot(before, settings.spp)
     everything = np.arange(problem.points.active, dtype=np.uint32)
     return Allocation.uniform(everything, settings.spp)
 

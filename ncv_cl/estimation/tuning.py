@@ -49,7 +49,7 @@ PILOT_SHARE = 1 / 4
 # its mean square error over the rest's, above which it gets more; and then its samples over those of the
 # rest, at most: python bench/bench_tuning.py DIRECT_SAMPLES DIRECT_ERROR MOST_DIRECT.
 DIRECT_SAMPLES = 8.0
-DIRECT_ERROR = 1 / 16
+DIRECT_ERROR = 1 / 32
 MOST_DIRECT = 4
 
 # Points that are estimated a second time: a share of all, within bounds, and of a small image no larger

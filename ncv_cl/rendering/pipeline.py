@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..estimation.allocate import Allocation
 from ..estimation.control_variate import ControlVariate, Trained, control_variate, idle
 from ..estimation.direct import DirectEstimate, direct_edges
 from ..estimation.draw import Drawn, allocation_of, begin, draw, finish
@@ -171,7 +172,10 @@ def _drawn(
     resumed, direct = keep.resumed, None
     if problem.apart is not None:
         direct = _direct(problem, settings, run, resumed)
-    allocation = allocation_of(problem, settings, variate, before.estimate)
+    if resumed is not None and resumed.counts is not None:
+        allocation = Allocation.of_counts(resumed.counts)
+    else:
+        allocation = allocation_of(problem, settings, variate, before.estimate, direct)
     done = None if resumed is None else resumed.image.edges
     image_estimate = begin(problem, settings, run, variate, allocation, done)
     if resumed is not None:
@@ -181,7 +185,8 @@ def _drawn(
 
     def after_pass() -> None:
         with run.watch("checkpoint"):
-            keep.write(image_estimate, before.estimate, variate, before.guide, direct)
+            kept = allocation if settings.allocation == "relative" else None
+            keep.write(image_estimate, before.estimate, variate, before.guide, direct, kept)
 
     ended_by = draw(problem, settings, run, image_estimate, target, after_pass, direct)
     return finish(image_estimate, allocation, ended_by, direct)

@@ -97,6 +97,7 @@ def prepare(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
+        glow=integrand.glow(scene, points.material[: points.active]).T,
         apart=apart,
     )
 

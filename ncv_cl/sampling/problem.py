@@ -51,6 +51,8 @@ class Problem:
         Whether points lie side by side in an image.
     narrowest : float
         Width of the narrowest light's strip of the square; 1 without lights.
+    glow : ndarray, optional
+        float32 (channels, points.active), what surfaces add to the integrals by themselves.
     apart : Apart, optional
         A part of the integrals that `source` leaves out.
     """
@@ -63,6 +65,7 @@ class Problem:
     demodulated: bool = False
     is_image: bool = True
     narrowest: float = 1.0
+    glow: np.ndarray | None = None
     apart: Apart | None = None
 
     @functools.cached_property

@@ -37,10 +37,11 @@ class Sampling:
         Owen-scrambled Sobol points (one scramble a shading point) or independent ones.
     supersample : int
         k makes k × k shading points a pixel, averaged by a box filter.
-    allocation : {"magnitude", "pilot", "uniform"}, optional
+    allocation : {"magnitude", "relative", "pilot", "uniform"}, optional
         How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
-        its variance in a quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By
-        default what the preset says for ncv, "uniform" for mc.
+        this over what is expected of its pixel's value ("relative", for ncv), by its variance in a
+        quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By default "uniform"
+        for mc and for global illumination, else what the preset says.
     visibility : {"auto", "lines", "points", "embree"}
         "lines": find what is seen of whole lines on the lights (direct light), or in whole slices of the
         hemisphere (ambient occlusion), and sample only that: no shadow rays, less error. "points": test
@@ -57,7 +58,7 @@ class Sampling:
 
     sampler: Literal["sobol", "independent"] = "sobol"
     supersample: int = 1
-    allocation: Literal["magnitude", "pilot", "uniform"] | None = None
+    allocation: Literal["magnitude", "relative", "pilot", "uniform"] | None = None
     visibility: Literal["auto", "lines", "points", "embree"] = "auto"
     split_direct: Literal["auto", "on", "off"] = "auto"
     skip_dark: bool = True
