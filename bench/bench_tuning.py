@@ -78,6 +78,9 @@ class Trial:
 
 
 PATHS = (("cornell_box", "gi"), ("interior", "gi"))
+APART = Trial(
+    (("interior", "gi"), ("occluders", "gi"), ("veach_plates", "gi")), options={"method": "mc"}
+)
 GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
 LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
 PLAIN = {"method": "mc"}
@@ -121,6 +124,9 @@ TRIALS = {
     "MOST_BLOCKED": Trial(OCCLUSION, options=ON_LINES),
     "SAMPLED_TRIANGLES": Trial(OCCLUSION, options=ON_LINES),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
+    "DIRECT_SAMPLES": APART,
+    "DIRECT_ERROR": APART,
+    "MOST_DIRECT": APART,
     "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": Trial(PATHS),
     "MOST_SURVIVE": Trial(PATHS),

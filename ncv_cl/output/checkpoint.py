@@ -139,7 +139,7 @@ class Checkpoint:
         if self.alpha is not None:
             arrays["alpha"] = self.alpha
         if self.guide is not None:
-            arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
+            arrays |= guide_arrays(self.guide)
         direct_edges = None if self.direct is None else self.direct.edges
         edges = (self.image.edges, direct_edges)
         about = dict(zip(ABOUT, (self.identity, self.method, *edges), strict=True))
@@ -174,10 +174,6 @@ class Checkpoint:
         if about["method"] == "ncv":
             network = Network.of_arrays(arrays)
             density = DensityNetwork.of_arrays(arrays, network.description)
-        guide = None
-        if "guide_means" in arrays:
-            densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
-            guide = Guide(densities, array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3)))
         direct = None
         if about["direct_edges"] is not None:
             direct = Progress.of_arrays(arrays, "direct_", about["direct_edges"])
@@ -190,7 +186,7 @@ class Checkpoint:
             network,
             density,
             array_of(arrays, "alpha", np.float32, (ANY, ANY)) if "alpha" in arrays else None,
-            guide,
+            guide_of(arrays),
             _counts(arrays) if "counts" in arrays else None,
         )
 
@@ -228,6 +224,19 @@ class Checkpoint:
                 f"{name} is {asked.get(name)!r}, was {self.identity.get(name)!r}" for name in names
             )
             raise CheckpointError(f"the checkpoint is of another render: {differences}")
+
+
+def guide_arrays(guide: Guide) -> dict[str, np.ndarray]:
+    """The arrays of a file that hold a guide."""
+    return {f"guide_{name}": array for name, array in guide._asdict().items()}
+
+
+def guide_of(arrays: dict[str, np.ndarray]) -> Guide | None:
+    """The guide among the arrays of a file, if there is one; ValueError if it is not well formed."""
+    if "guide_means" not in arrays:
+        return None
+    densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
+    return Guide(densities, array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3)))
 
 
 def _edges(found: object) -> list[int]:

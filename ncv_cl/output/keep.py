@@ -16,7 +16,7 @@ from ..estimation.image_estimate import ImageEstimate
 from ..network.network import Network
 from ..sampling.accumulate import Estimate
 from ..sampling.guide import Guide
-from .checkpoint import Checkpoint, Progress
+from .checkpoint import Checkpoint, Progress, guide_arrays
 
 
 @dataclass
@@ -42,10 +42,13 @@ class Keep:
     resumed: Checkpoint | None = None
     not_written: dict[str, str] = field(default_factory=dict)
 
-    def save_network(self, network: Network, companions: dict[str, np.ndarray]) -> None:
-        """Write the trained network, if it is wanted."""
+    def save_network(
+        self, network: Network, companions: dict[str, np.ndarray], guide: Guide | None = None
+    ) -> None:
+        """Write the trained network, if it is wanted, and what was learned with it."""
         if self.network is not None:
-            self._attempt(self.network, lambda: network.save(self.network, **companions))
+            more = companions if guide is None else companions | guide_arrays(guide)
+            self._attempt(self.network, lambda: network.save(self.network, **more))
 
     def note_no_network(self) -> None:
         """Note that there is no network to write."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,7 +105,8 @@ def estimate_integrals(
     if before.trained is not None:
         # A resumed render must get the same control variate, whatever time is left.
         untimed = run if resumed is None else replace(run, clock=UNLIMITED)
-        variate = control_variate(problem, settings, untimed, before.trained, keep.save_network)
+        save = functools.partial(keep.save_network, guide=before.guide)
+        variate = control_variate(problem, settings, untimed, before.trained, save)
     if variate is None:
         keep.note_no_network()
     drawn = _drawn(problem, settings, run, keep, before, variate)
@@ -127,7 +129,9 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
         return Before()
     if given is not None:
         given.network.check_fits(settings.integrand.channels, problem.inputs)
-        return Before(given)
+        if given.guide is not None and settings.guides:
+            problem.source.use_guide(given.guide)
+        return Before(given, guide=given.guide)
     learned = learn(problem, settings, run)
     trained = None
     if learned.network is not None:

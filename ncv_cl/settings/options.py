@@ -89,9 +89,9 @@ class Training:
         constant on 8 × 8 cells ("table"), linear on the triangles into which the first layer cuts the
         square ("subdivision"), or uniform ("none"). The default is the preset's.
     network : Network, str or Path, optional
-        A trained network, or its file, to use instead of training one. A file also holds the density's
-        network; a `Network` does not, and the residual is then sampled uniformly. Control coefficients
-        are 1.
+        A trained network, or its file, to use instead of training one, as for another view of the same
+        scene. A file also holds the density's network and, for global illumination, what guides bounces;
+        a `Network` does not, and the residual is then sampled uniformly. Control coefficients are 1.
     """
 
     preset: str = "default"
