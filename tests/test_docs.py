@@ -188,7 +188,9 @@ def test_kernel_files_that_the_source_names_exist():
             assert found is not None and found.exists(), f"{source} names {name}"
 
 
-@pytest.mark.parametrize("name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py"])
+@pytest.mark.parametrize(
+    "name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py", "turntable.py"]
+)
 def test_examples_render(folder, small, monkeypatch, name):
     """In a fresh process each takes seconds; here they run with smaller pictures."""
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")

@@ -79,6 +79,27 @@ def test_an_error_that_is_not_known_or_of_nothing_is_not_believed():
     assert not ErrorTarget(None, 1.0, 1.0).reached(image_estimate(1e9, 1e-9))
 
 
+def test_a_target_is_of_the_sum_and_direct_light_must_be_believed_too():
+    target = ErrorTarget(1e-3, 0.5, 0.1)
+    fewest = FEWEST_ON_A_LIGHT / 0.5
+    rest = image_estimate(1e9, 6e-4)
+    assert target.reached(rest, image_estimate(1.01 * fewest, 3e-4))
+    assert not target.reached(rest, image_estimate(1.01 * fewest, 5e-4))
+    assert not target.reached(rest, image_estimate(0.99 * fewest, 3e-4))
+    assert not target.reached(rest, image_estimate(1e9, math.nan))
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+def test_a_target_of_global_illumination_is_met(one_device, scenes, method):
+    options = {"device": one_device, "size": (32, 32)}
+    image = render(
+        scenes / "cornell_box.toml", "gi", method, spp=4096, target_mse=2e-5, seed=3, **options
+    )
+    truth = render(scenes / "cornell_box.toml", "gi", "mc", spp=2048, split_direct="off", **options)
+    assert image.stats["ended_by"] == "target_mse" and image.stats["estimated_mse"] <= 2e-5
+    assert np.mean((image.pixels.astype(float) - truth.pixels) ** 2) < 4e-5
+
+
 @pytest.mark.parametrize("method", ["mc", "ncv", "auto"])
 @pytest.mark.filterwarnings("ignore:training diverged")
 def test_a_target_is_not_met_before_the_weak_light_is_seen(one_device, two_lights, method):
