@@ -38,7 +38,6 @@ from ncv_cl.opencl.device import Device
 from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Hits, Tracer
-from ncv_cl.rendering.split import render_split
 from ncv_cl.sampling.accumulate import Accumulator
 from ncv_cl.sampling.paths import PathSource
 from ncv_cl.sampling.problem import Problem
@@ -56,16 +55,16 @@ VARIANTS = {
     "Sobol, pilot allocation": {"method": "mc", "allocation": "pilot"},
     "slides": {"method": "ncv", "preset": "slides", "train_spp": 16},
     "ncv, unguided": {"method": "ncv", "guided": False},
-    "ncv, uniform": {"method": "ncv", "density": "none", "allocation": "uniform"},
-    "ncv, density": {"method": "ncv", "allocation": "uniform"},
-    "ncv, allocation": {"method": "ncv", "density": "none"},
+    "ncv, no density": {"method": "ncv", "density": "none"},
+    "ncv, by magnitude": {"method": "ncv", "allocation": "magnitude"},
+    "ncv, relative": {"method": "ncv", "allocation": "relative"},
     "ncv": {"method": "ncv"},
-    "ncv, split direct": {"method": "ncv", "split": True},
+    "ncv, one part": {"method": "ncv", "split_direct": "off"},
 }
 
 
 # Those of which seconds to equal error are told, beside "auto"; the others are held against the first.
-TIMED = ("Sobol", "ncv", "ncv, split direct")
+TIMED = ("Sobol", "ncv", "ncv, one part")
 SPPS, QUICK_SPPS = (8, 32, 128, 512), (16, 64)
 
 
@@ -108,11 +107,9 @@ class Case:
         self.device, self.name, self.size = device, name, (size, size)
         self.scene = ncv.load_scene(SCENES / f"{name}.toml")
 
-    def render(
-        self, spp: int, seed: int, split: bool = False, guided: bool = True, **options: object
-    ) -> ncv.Image:
+    def render(self, spp: int, seed: int, guided: bool = True, **options: object) -> ncv.Image:
         integrand = GlobalIllumination(guided=guided)
-        return (render_split if split else ncv.render)(
+        return ncv.render(
             self.scene, integrand, spp=spp, size=self.size, seed=seed, device=self.device,
             **options,
         )  # fmt: skip

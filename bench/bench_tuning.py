@@ -80,6 +80,9 @@ class Trial:
 
 
 PATHS = (("cornell_box", "gi"), ("interior", "gi"))
+APART = Trial(
+    (("interior", "gi"), ("occluders", "gi"), ("veach_plates", "gi")), options={"method": "mc"}
+)
 GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
 LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
 PLAIN = {"method": "mc"}
@@ -125,6 +128,9 @@ TRIALS = {
     "MOST_BLOCKED": Trial(OCCLUSION, options=ON_LINES),
     "SAMPLED_TRIANGLES": Trial(OCCLUSION, options=ON_LINES),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
+    "DIRECT_SAMPLES": APART,
+    "DIRECT_ERROR": APART,
+    "MOST_DIRECT": APART,
     "ROULETTE": Trial(PATHS, options=PLAIN),
     "GUIDED_ROULETTE": ((1, 6.0), (2, 3.0), (2, 4.0), (2, 6.0), (2, 9.0)),
     "LEAST_SURVIVE": Trial(PATHS),

@@ -16,7 +16,6 @@ from .opencl.program import KernelText
 from .output.image import Image
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
-from .rendering.split import render_split
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
@@ -56,6 +55,5 @@ __all__ = [
     "integrate",
     "load_scene",
     "render",
-    "render_split",
     "subdivide",
 ]

@@ -27,7 +27,6 @@ from .integration.subdivide import draw_subdivision, subdivide
 from .opencl.choose import devices
 from .output.image import Image, check_output_path
 from .rendering.render import render
-from .rendering.split import render_split
 from .scene.load import load_scene
 from .settings.arguments import add_arguments, read_arguments
 from .settings.options import GROUPS
@@ -116,11 +115,6 @@ def _add_integrand_options(parser: argparse.ArgumentParser) -> None:
     add("--mapping", choices=MAPPINGS, help="ambient occlusion: hemisphere mapping (default: height)")
     add(
         "--max-depth", type=int, metavar="D", help="global illumination: most edges of a path, 2: direct"
-    )
-    add(
-        "--split-direct",
-        action="store_true",
-        help="global illumination: direct light as an integral of its own",
     )
     add("--clamp", type=float, metavar="L", help="global illumination: most that a path brings (biased)")
 
@@ -273,7 +267,7 @@ def _render(options: argparse.Namespace) -> int:
 
 def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
     chosen = [read_arguments(options, group) for group in GROUPS.values()]
-    image = (render_split if options.split_direct else render)(
+    image = render(
         load_scene(options.scene),
         _integrand(options),
         method=options.method,

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from ncv_cl import render
 from ncv_cl.estimation.allocate import Allocation, allocate
+from ncv_cl.estimation.pilot import DARK_SHARE, expected, scales
 from ncv_cl.estimation.tuning import FEWEST_SAMPLES, LARGEST_MULTIPLE
 
 
@@ -86,3 +90,65 @@ def test_points_that_converge_early_are_counted():
 def test_where_all_get_alike_nothing_has_converged():
     allocation = Allocation.uniform(np.arange(5, dtype=np.uint32), 16)
     assert allocation.converged() == {"converged_points": 0, "converged_samples": 0}
+
+
+# ------------------------------------------------------------------------------- relative errors
+
+
+def expected_of(integral, alpha=None, before=None, direct=None, glow=None, side=1, columns=4):
+    """`expected` of points that fill the first sub-pixels."""
+    integral = np.asarray(integral, np.float32)
+    points = SimpleNamespace(active=integral.shape[1], cell=np.arange(integral.shape[1]))
+    settings = SimpleNamespace(
+        columns=columns, rows=-(-integral.shape[1] // columns),
+        sampling=SimpleNamespace(supersample=side),
+    )  # fmt: skip
+    if before is not None:
+        before = SimpleNamespace(mean=np.asarray(before[0], float), samples=np.asarray(before[1]))
+    if direct is not None:
+        found = SimpleNamespace(mean=np.asarray(direct, float))
+        direct = SimpleNamespace(result=lambda: found)
+    variate = SimpleNamespace(integral=integral, alpha=None if alpha is None else np.asarray(alpha))
+    problem = SimpleNamespace(points=points, glow=glow)
+    return expected(problem, settings, variate, before, direct)
+
+
+def test_the_integral_tells_a_pixels_value():
+    np.testing.assert_allclose(expected_of([[1, 2, -3, 4], [3, 2, -3, 0]]), [2, 2, 0, 2])
+    # It is divided by the coefficient that was folded in, and there is other light.
+    found = expected_of([[1, 2], [1, 2]], alpha=[[0.5, 1], [2, 1]], direct=[[0, 4], [1, 4]])
+    np.testing.assert_allclose(found, [(2 + 0.5 + 1) / 2, 6])
+    np.testing.assert_allclose(expected_of([[1, 2]], glow=np.array([[3, 0]])), [4, 2])
+
+
+def test_where_there_is_no_network_training_samples_near_it_tell_the_value():
+    before = ([[2, 4, 99, 6]], [8, 8, 0, 8])
+    found = expected_of([[0, 7, 7, 7]], alpha=[[0, 1, 1, 1]], before=before)
+    np.testing.assert_allclose(found, [4, 7, 7, 7])
+
+
+def test_points_of_a_pixel_have_its_value():
+    found = expected_of([[1, 3, 5, 5, 1, 3, 5, 9]], side=2)
+    np.testing.assert_allclose(found, [2, 2, 6, 6, 2, 2, 6, 6])
+
+
+def test_errors_are_relative_to_values_and_a_part_of_their_mean():
+    value = np.array([0.0, 1.0, 3.0])
+    np.testing.assert_allclose(scales(value), value + DARK_SHARE * 4 / 3)
+    assert np.array_equal(scales(np.zeros(3)), np.ones(3))
+
+
+def test_relative_errors_are_less_where_samples_go_by_them(one_device, scenes):
+    """Both are estimated errors, of one network; the picture has dark parts."""
+    errors = {}
+    for allocation in ("magnitude", "relative"):
+        image = render(
+            scenes / "occluders.toml", "direct", "ncv", spp=64, size=(48, 48), seed=1, density="none",
+            visibility="points", sampler="independent", allocation=allocation, device=one_device,
+        )  # fmt: skip
+        scale = np.maximum(image.pixels, 0) + DARK_SHARE * image.pixels.mean()
+        lit = image.variance > 0
+        relative = (image.variance / scale**2)[lit].mean()
+        errors[allocation] = (image.variance.mean(), relative)
+    assert errors["relative"][1] < 0.8 * errors["magnitude"][1]
+    assert errors["magnitude"][0] < 0.8 * errors["relative"][0]

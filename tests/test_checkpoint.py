@@ -62,6 +62,50 @@ def test_going_on_gives_the_bits_of_an_uninterrupted_render(one_device, scenes, 
 
 
 @pytest.mark.parametrize(
+    "case",
+    [
+        {"method": "mc"},
+        {"method": "mc", "sampler": "independent"},
+        {"method": "ncv", "train_spp": 4},
+        {"method": "ncv", "train_spp": 4, "allocation": "relative"},
+        {"method": "ncv", "train_spp": 4, "split_direct": "off"},
+    ],
+    ids=lambda case: "-".join(map(str, case.values())),
+)
+@pytest.mark.parametrize("passes", [1, 3])
+def test_direct_light_apart_goes_on_with_the_rest(
+    one_device, scenes, tmp_path, monkeypatch, case, passes
+):
+    # So that direct light is also given more where the errors say so.
+    monkeypatch.setattr("ncv_cl.estimation.tuning.DIRECT_SAMPLES", 2.0)
+    monkeypatch.setattr("ncv_cl.estimation.tuning.DIRECT_ERROR", 1e-4)
+    common = {"integrand": "gi", "device": one_device, **OPTIONS, **case}
+    whole = render(scenes / "cornell_box.toml", **common)
+    file, asked = tmp_path / "checkpoint.npz", []
+
+    def stop():
+        asked.append(1)
+        return len(asked) >= passes + ("ncv" in case.values())
+
+    part = render(scenes / "cornell_box.toml", **common, checkpoint=file, stop=stop)
+    assert part.stats["ended_by"] == "request"
+    again = render(scenes / "cornell_box.toml", **common, resume=file)
+    assert_same_bits(whole, again)
+    if "split_direct" not in case:
+        drawn = [image.stats["direct"]["samples_per_point"] for image in (part, again, whole)]
+        # The error of direct light may be small enough after three passes.
+        assert drawn[0] <= drawn[1] == drawn[2] and (passes > 1 or drawn[0] < drawn[1])
+        found = Checkpoint.load(file)
+        arrays = dict(np.load(file))
+        arrays["direct_state0"] = arrays["direct_state0"][:, 1:]
+        arrays["direct_samples0"] = arrays["direct_samples0"][1:]
+        np.savez(file, **arrays)
+        assert (found.counts is not None) == ("relative" in case.values())
+        with pytest.raises(ValueError, match="tampered"):
+            render(scenes / "cornell_box.toml", **common, resume=file)
+
+
+@pytest.mark.parametrize(
     ("options", "difference"),
     [
         ({"seed": 4}, "seed is 4, was 3"),
@@ -196,8 +240,8 @@ def test_a_killed_process_loses_at_most_one_pass(one_device, scenes, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
         found = Checkpoint.load(file)
-        assert found.passes > 0
+        assert found.image.passes > 0
         # What there is are whole passes of all points.
-        samples = found.states[0][1]
+        samples = found.image.states[0][1]
         assert (samples == samples[0]).all() and samples[0] > 0
-        assert np.isfinite(found.states[0][0]).all()
+        assert np.isfinite(found.image.states[0][0]).all()

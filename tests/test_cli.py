@@ -69,13 +69,13 @@ def test_render_writes_images_and_statistics(cli, one_device, method):
     assert all(stage in out for stage in stages) and "a.exr" in out
 
 
-def test_global_illumination_in_one_image_or_two(cli):
+def test_global_illumination_in_one_part_or_two(cli):
     common = ("--integrand", "gi", "--max-depth", "4", "--clamp", "10", "--method", "mc", "-o", "a.exr")
-    for split in ((), ("--split-direct",)):
-        assert cli(*common, *split)[0] == 0
+    for split in ("auto", "on", "off"):
+        assert cli(*common, "--split-direct", split)[0] == 0
         about = Image.read("a.exr").metadata
         assert about["max_depth"] == 4 and about["clamp"] == 10
-        assert bool(about.get("split_direct")) == bool(split)
+        assert about["split_direct"] == split and ("direct_spp" in about) == (split != "off")
 
 
 def test_a_reference_adds_errors(cli):
@@ -108,7 +108,7 @@ def test_a_reference_adds_errors(cli):
         (["-o", "a.exr", "--integrand", "ao", "--radius", "0"], "radius"),
         (["-o", "a.exr", "--integrand", "gi", "--max-depth", "1"], "max_depth"),
         (["-o", "a.exr", "--integrand", "gi", "--clamp", "0"], "clamp"),
-        (["-o", "a.exr", "--split-direct"], "split off"),
+        (["-o", "a.exr", "--split-direct", "on"], "split_direct is for"),
         (["-o", "a.exr", "--integrand", "fog"], "invalid choice: 'fog'"),
         (["-o", "a.exr", "--device", "99"], "no device 99"),
         (["-o", "a.exr", "--device", "abacus"], "no device matches 'abacus'"),

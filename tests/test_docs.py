@@ -145,7 +145,6 @@ def test_tables_of_results_are_complete(folder, one_device, scenes):
         ncv.render(box, "direct", "auto", spp=1, **common),
         ncv.render(box, "gi", "ncv", spp=4, checkpoint="kept.npz", **common),
         ncv.render(knot, "ao", "mc", spp=4, visibility="lines", **common),
-        ncv.render_split(box, "gi", spp=4, **common),
     ]
     ours = {key for image in images for key in image.stats}
     stages = {key for image in images for key in image.stats["seconds"]}
@@ -189,7 +188,9 @@ def test_kernel_files_that_the_source_names_exist():
             assert found is not None and found.exists(), f"{source} names {name}"
 
 
-@pytest.mark.parametrize("name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py"])
+@pytest.mark.parametrize(
+    "name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py", "turntable.py"]
+)
 def test_examples_render(folder, small, monkeypatch, name):
     """In a fresh process each takes seconds; here they run with smaller pictures."""
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")

@@ -147,18 +147,8 @@ def test_what_is_no_value_of_an_option_is_refused(scenes, options):
         ncv.render(scenes / "plane_light.toml", **(TINY | options))
 
 
-def test_split_direct_light_takes_groups_and_files_as_single_options(one_device, scenes, tmp_path):
-    common = {**TINY, "device": one_device, "seed": np.int64(3)}
-    scene, file = scenes / "cornell_box.toml", tmp_path / "reference.exr"
-    image = ncv.render_split(scene, **common)
-    image.write(file)
-    for given in ({"reference": file}, {"files": ncv.Files(reference=image.pixels)}):
-        assert ncv.render_split(scene, **common, **given).stats["mse"] == pytest.approx(0, abs=1e-12)
-    for group in (
-        {"files": ncv.Files(checkpoint=tmp_path / "c.npz")},
-        {"stopping": Stopping(target_mse=1.0)},
-    ):
-        with pytest.raises(ValueError, match="is for one render"):
-            ncv.render_split(scene, **common, **group)
-    limited = ncv.render_split(scene, **(common | {"spp": 10**8}), stopping=Stopping(time_limit=0.5))
-    assert limited.stats["ended_by"] == "time_limit"
+@pytest.mark.parametrize("split", ["on", "off"])
+@pytest.mark.parametrize("integrand", ["direct", "ao", ncv.GlobalIllumination(direct=False)])
+def test_splitting_direct_light_is_for_what_has_it_and_more(scenes, integrand, split):
+    with pytest.raises(ValueError, match="split_direct is for integrand gi"):
+        ncv.render(scenes / "plane_light.toml", integrand, split_direct=split, **TINY)

@@ -16,7 +16,6 @@ from ncv_cl.estimation.passes import short_pass_edges
 from ncv_cl.estimation.stopping import FEWEST_ON_A_LIGHT, ErrorTarget, Stopping
 from ncv_cl.host.clock import Clock, OutOfTime, Run
 from ncv_cl.integrands.lights import narrowest_strip
-from ncv_cl.rendering.split import render_split
 
 # A floor under a weak light; a strong one shines on the floor's other side, seen by none of its points.
 TWO_LIGHTS = """
@@ -78,6 +77,27 @@ def test_an_error_that_is_not_known_or_of_nothing_is_not_believed():
     assert not target.reached(image_estimate(1e9, 0.0, something=False))
     assert target.reached(image_estimate(1e9, 0.0, something=True))
     assert not ErrorTarget(None, 1.0, 1.0).reached(image_estimate(1e9, 1e-9))
+
+
+def test_a_target_is_of_the_sum_and_direct_light_must_be_believed_too():
+    target = ErrorTarget(1e-3, 0.5, 0.1)
+    fewest = FEWEST_ON_A_LIGHT / 0.5
+    rest = image_estimate(1e9, 6e-4)
+    assert target.reached(rest, image_estimate(1.01 * fewest, 3e-4))
+    assert not target.reached(rest, image_estimate(1.01 * fewest, 5e-4))
+    assert not target.reached(rest, image_estimate(0.99 * fewest, 3e-4))
+    assert not target.reached(rest, image_estimate(1e9, math.nan))
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+def test_a_target_of_global_illumination_is_met(one_device, scenes, method):
+    options = {"device": one_device, "size": (32, 32)}
+    image = render(
+        scenes / "cornell_box.toml", "gi", method, spp=4096, target_mse=2e-5, seed=3, **options
+    )
+    truth = render(scenes / "cornell_box.toml", "gi", "mc", spp=2048, split_direct="off", **options)
+    assert image.stats["ended_by"] == "target_mse" and image.stats["estimated_mse"] <= 2e-5
+    assert np.mean((image.pixels.astype(float) - truth.pixels) ** 2) < 4e-5
 
 
 @pytest.mark.parametrize("method", ["mc", "ncv", "auto"])
@@ -160,7 +180,7 @@ WAYS = [
     ("gi", {"method": "mc"}),
     ("gi", {"method": "ncv"}),
     ("gi", {"method": "auto"}),
-    ("split", {"method": "ncv"}),
+    ("gi", {"method": "ncv", "split_direct": "off"}),
 ]
 
 
@@ -176,8 +196,6 @@ def test_every_method_ends_in_time(one_device, scenes, integrand, options, limit
     scene = scenes / ("occluders.toml" if integrand == "ao" else "interior.toml")
 
     def picture(**more):
-        if integrand == "split":
-            return render_split(scene, "gi", device=one_device, size=(64, 64), **options, **more)
         return render(scene, integrand, device=one_device, size=(64, 64), **options, **more)
 
     # No limit interrupts the compilation of kernels.

@@ -25,6 +25,7 @@ STAGES = {
     ("callable", "centre"): "offset",
     ("learn", "_train"): "training",
     ("learn", "_rounds"): "held out",
+    ("direct", "follow"): "direct",
     ("pipeline", "_drawn"): "passes",
 }
 PURPOSES = {
@@ -34,6 +35,7 @@ PURPOSES = {
     "offset": {Stream.OFFSET},
     "training": {Stream.TRAINING},
     "held out": {Stream.HELD_OUT},
+    "direct": {Stream.DIRECT, Stream.DIRECT_AGAIN},
 }
 PASSES = {
     "mc": {Stream.PLAIN, Stream.PLAIN_AGAIN},
@@ -111,6 +113,7 @@ def test_no_two_stages_of_a_render_share_a_stream(
         assert found <= PURPOSES[name], name
     if options["method"] == "auto":
         assert "training" in streams
+    assert ("direct" in streams) == (integrand == "gi")
     # And so no sample counts twice.
     stages = {stream for stream, _, _ in samples}
     assert len(stages) > 1 or options["method"] == "mc"

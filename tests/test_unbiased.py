@@ -39,6 +39,7 @@ METHODS = {
     "ncv-density": {"method": "ncv", "allocation": "uniform"},
     "ncv-subdivision": {"method": "ncv", "density": "subdivision"},
     "ncv-allocation": {"method": "ncv", "density": "none"},
+    "ncv-relative": {"method": "ncv", "allocation": "relative"},
     "mc-lines": {"method": "mc", "visibility": "lines"},
     "ncv-lines": {"method": "ncv", "visibility": "lines"},
 }

@@ -17,6 +17,7 @@ from ..network.fold import FoldedNetwork
 from ..network.network import Network
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
+from ..sampling.guide import Guide
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
 
@@ -62,12 +63,15 @@ class Trained:
         float32 (channels, points), control coefficients; None: found from `samples`, if there are any.
     samples : TrainingSamples, optional
         What training has left.
+    guide : Guide, optional
+        Densities that guide bounces, from a file.
     """
 
     network: Network
     density_network: DensityNetwork | None = None
     alpha: np.ndarray | None = None
     samples: TrainingSamples | None = None
+    guide: Guide | None = None
 
 
 def control_variate(

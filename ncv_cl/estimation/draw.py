@@ -10,12 +10,13 @@ import numpy as np
 from ..host.clock import Run
 from ..sampling.accumulate import Estimate
 from ..sampling.problem import Problem
-from ..settings.settings import Settings
+from ..settings.settings import BY_RESIDUAL, Settings
 from .allocate import Allocation, allocate
 from .control_variate import ControlVariate
+from .direct import DirectEstimate
 from .image_estimate import ImageEstimate
 from .passes import edges_of
-from .pilot import allocate_by_pilot
+from .pilot import allocate_by_pilot, expected, scales
 from .stopping import ErrorTarget, Stopping
 
 
@@ -32,6 +33,8 @@ class Drawn:
     allocation : Allocation
     ended_by : {"samples", "target_mse", "time_limit", "request"}
     points_done_twice : int
+    direct : Estimate, optional
+        Of direct light, if that is estimated apart.
     """
 
     plain: Estimate
@@ -39,17 +42,33 @@ class Drawn:
     allocation: Allocation
     ended_by: str
     points_done_twice: int
+    direct: Estimate | None = None
 
 
 def allocation_of(
-    problem: Problem, settings: Settings, variate: ControlVariate | None, pilot: Estimate | None
+    problem: Problem,
+    settings: Settings,
+    variate: ControlVariate | None,
+    before: Estimate | None,
+    direct: DirectEstimate | None = None,
 ) -> Allocation:
-    """How many samples each point gets."""
+    """How many samples each point gets.
+
+    Parameters
+    ----------
+    before : Estimate, optional
+        Of f, from the samples of training or of a pilot.
+    direct : DirectEstimate, optional
+        Of light that f leaves out.
+    """
     by_residual = variate is not None and variate.density is not None
-    if by_residual and settings.allocation == "magnitude":
-        return Allocation.of_counts(allocate(variate.density.magnitude, settings.spp))
-    if pilot is not None and settings.allocation == "pilot":
-        return allocate_by_pilot(pilot, settings.spp)
+    if by_residual and settings.allocation in BY_RESIDUAL:
+        magnitude = variate.density.magnitude
+        if settings.allocation == "relative":
+            magnitude = magnitude / scales(expected(problem, settings, variate, before, direct))
+        return Allocation.of_counts(allocate(magnitude, settings.spp))
+    if before is not None and settings.allocation == "pilot":
+        return allocate_by_pilot(before, settings.spp)
     everything = np.arange(problem.points.active, dtype=np.uint32)
     return Allocation.uniform(everything, settings.spp)
 
@@ -81,6 +100,7 @@ def draw(
     image_estimate: ImageEstimate,
     target: ErrorTarget,
     after_pass: Callable[[], None],
+    direct: DirectEstimate | None = None,
 ) -> str:
     """Draw the remaining passes until a condition ends them; returns which one (`Drawn.ended_by`).
 
@@ -88,6 +108,8 @@ def draw(
     ----------
     after_pass : callable
         Called before the first and after every pass.
+    direct : DirectEstimate, optional
+        What is drawn beside.
     """
     after_pass()
     if not problem.points.active:
@@ -95,9 +117,13 @@ def draw(
     if settings.stopping.time_limit is not None:
         with run.watch("compile"):
             image_estimate.warm_up()
-    stopping = Stopping(image_estimate, target, run)
+    stopping = Stopping(image_estimate, target, run, direct)
 
     def enough(done: int) -> bool:
+        if direct is not None:
+            # What is compared takes time, so that is done after ever more passes.
+            compares = done & (done - 1) == 0 or done == image_estimate.passes.number
+            direct.follow(int(image_estimate.passes.edges[done]), image_estimate if compares else None)
         after_pass()
         return stopping.enough(done)
 
@@ -107,8 +133,14 @@ def draw(
     return stopping.ended_by
 
 
-def finish(image_estimate: ImageEstimate, allocation: Allocation, ended_by: str) -> Drawn:
+def finish(
+    image_estimate: ImageEstimate,
+    allocation: Allocation,
+    ended_by: str,
+    direct: DirectEstimate | None = None,
+) -> Drawn:
     """The final estimates; memory that only drawing needs is freed."""
     twice = len(image_estimate.twice)
     plain, residual = image_estimate.end()
-    return Drawn(plain, residual, allocation, ended_by, twice)
+    found = direct.result() if direct is not None else None
+    return Drawn(plain, residual, allocation, ended_by, twice, found)

@@ -22,6 +22,10 @@ from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
 from .passes import Passes, Target
 
+# Streams of f and of f - g, each with that of a second estimate.
+PLAIN = (Stream.PLAIN, Stream.PLAIN_AGAIN)
+RESIDUAL = (Stream.RESIDUAL, Stream.RESIDUAL_AGAIN)
+
 
 class ImageEstimate:
     """Estimators of f and, with a control variate, of f - g, and the passes that fill them.
@@ -38,6 +42,8 @@ class ImageEstimate:
     density : Density, optional
         Where its residual is large.
     watch : Stopwatch
+    streams : (Stream, Stream), optional
+        Of the samples, and of those of a second estimate; by default f's, or the residual's.
 
     Attributes
     ----------
@@ -57,6 +63,7 @@ class ImageEstimate:
         folded: FoldedNetwork | None,
         density: Density | None,
         watch: Stopwatch,
+        streams: tuple[Stream, Stream] | None = None,
     ) -> None:
         device, points, channels = problem.device, problem.points, problem.source.channels
         self._problem, self._settings = problem, settings
@@ -64,11 +71,8 @@ class ImageEstimate:
         self._magnitude = density.magnitude if density is not None else None
         self._first = Accumulator(device, points, channels, folded)
         self._second: Accumulator | None = None
-        once, again = (
-            (Stream.PLAIN, Stream.PLAIN_AGAIN)
-            if folded is None
-            else (Stream.RESIDUAL, Stream.RESIDUAL_AGAIN)
-        )
+        by_default = PLAIN if folded is None else RESIDUAL
+        once, again = streams or by_default
         targets = [Target(self._first, allocation, once)]
         self.twice = np.empty(0, np.uint32)
         # The variance of independent samples follows from the samples; stratified ones need points that
@@ -183,11 +187,7 @@ class ImageEstimate:
 
     def image_error(self) -> float:
         """The image's mean square error so far, from its variances; NaN: not known."""
-        variance = self._final().variance_of_mean
-        settings = self._settings
-        # Errors of a pixel's points are independent; one channel stands for all three.
-        pixels = settings.size[0] * settings.size[1]
-        return float(variance.mean(axis=0).sum()) / (pixels * settings.sampling.supersample**4)
+        return error_of(self._final(), self._settings)
 
     def states(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """What `restore` takes."""
@@ -211,6 +211,14 @@ class ImageEstimate:
         self.parts, self.done = parts, done
         for accumulator, state in zip(accumulators, states, strict=True):
             accumulator.restore(*state)
+
+
+def error_of(estimate: Estimate, settings: Settings) -> float:
+    """The mean square error of an image of this estimate, from its variances; NaN: not known."""
+    # Errors of a pixel's points are independent; one channel stands for all three.
+    pixels = settings.size[0] * settings.size[1]
+    variance = estimate.variance_of_mean.mean(axis=0).sum()
+    return float(variance) / (pixels * settings.sampling.supersample**4)
 
 
 def _warp(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:

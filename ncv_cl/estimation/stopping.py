@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from ..host.clock import Run
+from .direct import DirectEstimate
 from .image_estimate import ImageEstimate
 
 # An error estimate is believed only when every light is expected to have got this many of the image's
@@ -28,14 +29,19 @@ class ErrorTarget:
 
     def __init__(self, mse: float | None, narrowest: float, uniform_share: float) -> None:
         self.mse = mse
-        self._fewest = FEWEST_ON_A_LIGHT / (narrowest * uniform_share)
+        self._fewest_uniform = FEWEST_ON_A_LIGHT / narrowest
+        self._fewest = self._fewest_uniform / uniform_share
 
-    def reached(self, image_estimate: ImageEstimate) -> bool:
-        """Whether a credible estimate of the error is at most the target."""
+    def reached(self, image_estimate: ImageEstimate, direct: DirectEstimate | None = None) -> bool:
+        """Whether a credible estimate of the error, with that of direct light, is at most the target."""
         if self.mse is None or image_estimate.samples < self._fewest:
             return False
         # The error is NaN where it is not known: then it is not reached.
         error = image_estimate.image_error()
+        if direct is not None:
+            if direct.samples < self._fewest_uniform:
+                return False
+            error += direct.image_error()
         # An image of nothing but zeros has an error of 0, because no light was found yet.
         return error <= self.mse and (error > 0.0 or image_estimate.finds_something())
 
@@ -49,6 +55,8 @@ class Stopping:
         Under way.
     target : ErrorTarget
     run : Run
+    direct : DirectEstimate, optional
+        What else the image is the sum of.
 
     Attributes
     ----------
@@ -56,8 +64,15 @@ class Stopping:
         Why there was none.
     """
 
-    def __init__(self, image_estimate: ImageEstimate, target: ErrorTarget, run: Run) -> None:
+    def __init__(
+        self,
+        image_estimate: ImageEstimate,
+        target: ErrorTarget,
+        run: Run,
+        direct: DirectEstimate | None = None,
+    ) -> None:
         self._image_estimate, self._target, self._run = image_estimate, target, run
+        self._direct = direct
         self._began = time.perf_counter()
         self.ended_by = "samples"
 
@@ -70,7 +85,7 @@ class Stopping:
         # Passes are short where there is a limit, and their lengths differ a little.
         if seconds * passes.length(done) / passes.length(done - 1) > self._run.clock.left():
             self.ended_by = "time_limit"
-        elif self._target.reached(self._image_estimate):
+        elif self._target.reached(self._image_estimate, self._direct):
             self.ended_by = "target_mse"
         elif self._run.stop():
             self.ended_by = "request"

@@ -45,6 +45,13 @@ LARGEST_MULTIPLE = 64
 PILOT_SAMPLES = 64
 PILOT_SHARE = 1 / 4
 
+# Samples a point of direct light that is estimated apart, at least, over the root of those of the rest;
+# its mean square error over the rest's, above which it gets more; and then its samples over those of the
+# rest, at most: python bench/bench_tuning.py DIRECT_SAMPLES DIRECT_ERROR MOST_DIRECT.
+DIRECT_SAMPLES = 8.0
+DIRECT_ERROR = 1 / 32
+MOST_DIRECT = 4
+
 # Points that are estimated a second time: a share of all, within bounds, and of a small image no larger
 # share than the last: python bench/bench_tuning.py TWICE_SHARE FEWEST_TWICE MOST_TWICE
 # LARGEST_TWICE_SHARE prints how well variances fit the errors.

@@ -55,8 +55,14 @@ class Integrand:
     sliced: ClassVar[bool] = False
     """Whether v is the azimuth about the normal, and the integral over u of f with visibility up to a
     distance of ``data[0]`` is what slices.cl finds."""
+    splits: ClassVar[bool] = False
+    """Whether there are scenes in which `apart` gives two parts."""
     nested: ClassVar[bool] = False
     """Whether f is itself estimated, by paths (`paths.PathSource`)."""
+
+    def apart(self, scene: Scene) -> tuple[Integrand, Integrand] | None:
+        """Direct light and the rest as integrands whose sum this one is; None: it has no parts."""
+        return None
 
     def promises(self, name: str) -> bool:
         """Whether the kernel keeps what `to_lights`, `along_lines` or `sliced` says of it.

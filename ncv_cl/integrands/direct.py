@@ -26,13 +26,14 @@ class DirectLight(Integrand):
     emitters_active = False
     to_lights = True
     along_lines = True
+    _part = False
 
     def data(self, scene: Scene) -> np.ndarray:
-        self._check(scene)
+        self._check_lights(scene)
         return light_records(scene)
 
     def defines(self, scene: Scene) -> dict[str, int | str]:
-        self._check(scene)
+        self._check_lights(scene)
         return {
             "CHANNELS": self.channels,
             "LOBE_SHARE_COUNT": len(tuning.LOBE_SHARES),
@@ -70,20 +71,25 @@ class DirectLight(Integrand):
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
 
-    @staticmethod
-    def _check(scene: Scene) -> None:
+    def _check_lights(self, scene: Scene) -> None:
         if not scene.lights:
             raise IntegrandError(
                 f"{scene.name} has no light, so direct light is zero everywhere: "
                 "add a [[lights]] entry to the scene, or render ambient occlusion"
             )
         for material in scene.materials:
-            if material.emission.any():
+            if material.emission.any() and not self._part:
                 raise IntegrandError(
                     f"{scene.name}: material {material.name!r} emits, but direct light is that of "
                     "[[lights]] only: render integrand gi, which finds it, or take its emission away "
                     "(if a mesh file has it: give the mesh a material of the scene)"
                 )
+
+
+class DirectPart(DirectLight):
+    """Direct light of area lights as a part of global illumination; surfaces may emit as well."""
+
+    _part = True
 
 
 def scattering_defines(scene: Scene) -> dict[str, int]:

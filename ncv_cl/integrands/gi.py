@@ -6,7 +6,7 @@ import numpy as np
 
 from ..scene.load import Scene
 from .base import Integrand, IntegrandError
-from .direct import scattering_defines
+from .direct import DirectPart, scattering_defines
 from .lights import emitted_by_lights, light_defines, light_records
 
 
@@ -54,6 +54,18 @@ class GlobalIllumination(Integrand):
         self.direct = bool(direct)
         self.clamp = None if clamp is None else float(clamp)
         self.guided = bool(guided)
+
+    @property
+    def splits(self) -> bool:
+        """Whether direct light may be estimated apart from the rest."""
+        return self.direct
+
+    def apart(self, scene: Scene) -> tuple[Integrand, Integrand] | None:
+        only_direct = self.max_depth == 2 and not emissions(scene).any()
+        if not self.direct or not scene.lights or only_direct:
+            return None
+        rest = GlobalIllumination(self.max_depth, direct=False, clamp=self.clamp, guided=self.guided)
+        return DirectPart(), rest
 
     @property
     def to_lights(self) -> bool:

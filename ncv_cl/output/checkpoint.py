@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..estimation.image_estimate import ImageEstimate
 from ..host.files import (
     ANY,
     array_of,
@@ -23,13 +24,67 @@ from ..network.network import Network
 from ..sampling.accumulate import Estimate
 from ..sampling.guide import GUIDE_CELLS, Guide
 from ..sampling.warp import DENSITY_WORDS
+from ..settings.options import MOST_SAMPLES
 
 # The parts of a checkpoint that are kept as JSON.
-ABOUT = ("identity", "method", "edges")
+ABOUT = ("identity", "method", "edges", "direct_edges")
 
 
 class CheckpointError(ValueError):
     """A checkpoint that this render cannot resume: broken, or of another render."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """An `ImageEstimate` between two passes.
+
+    Attributes
+    ----------
+    edges : list of int
+        Where the passes done began and ended, in samples a point on average: 0, ...
+    states : list of (ndarray, ndarray)
+        Each accumulator's state and its points' numbers of samples.
+    parts : list of ndarray
+        As `ImageEstimate` keeps them.
+    """
+
+    edges: list[int]
+    states: list[tuple[np.ndarray, np.ndarray]]
+    parts: list[np.ndarray]
+
+    @classmethod
+    def of(cls, estimate: ImageEstimate) -> Progress:
+        """Of an estimate under way."""
+        edges = [int(edge) for edge in estimate.passes.edges[: estimate.done + 1]]
+        return cls(edges, estimate.states(), estimate.parts)
+
+    def give_back(self, estimate: ImageEstimate) -> None:
+        """Let an estimate that has not begun go on from here."""
+        estimate.restore(self.states, self.parts, self.passes)
+
+    @property
+    def passes(self) -> int:
+        """Passes done."""
+        return len(self.edges) - 1
+
+    def arrays(self, prefix: str) -> dict[str, np.ndarray]:
+        """The arrays of a file, their names after `prefix`."""
+        arrays = {f"{prefix}part{number}": part for number, part in enumerate(self.parts)}
+        for number, (state, samples) in enumerate(self.states):
+            arrays |= {f"{prefix}state{number}": state, f"{prefix}samples{number}": samples}
+        return arrays
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, np.ndarray], prefix: str, edges: object) -> Progress:
+        """What `arrays` gave; ValueError if one is missing or wrong."""
+        states = [
+            _state(arrays, prefix, number)
+            for number in (0, 1)
+            if number == 0 or f"{prefix}state1" in arrays
+        ]
+        names = [f"{prefix}part{number}" for number in (0, 1)]
+        parts = [array_of(arrays, name, np.float64, (ANY, ANY, ANY)) for name in names if name in arrays]
+        return cls(_edges(edges), states, parts)
 
 
 @dataclass(frozen=True)
@@ -42,44 +97,39 @@ class Checkpoint:
         All that decides the image's bits, by name.
     method : {"mc", "ncv"}
         What was chosen.
-    edges : list of int
-        Where the passes done began and ended, in samples a point on average: 0, ...
-    states : list of (ndarray, ndarray)
-        Each accumulator's state and its points' numbers of samples.
+    image : Progress
+    direct : Progress, optional
+        The same of direct light, where that is estimated apart.
     before : Estimate, optional
         Of f, from the training samples or the pilot.
     network, density_network : optional
         The control variate's network, and the one of its density.
     alpha : ndarray, optional
         The control variate's coefficients.
-    parts : list of ndarray
-        As `ImageEstimate` keeps them.
     guide : Guide, optional
         Densities that guide bounces.
+    counts : ndarray, optional
+        int64 (points,), samples that each point is to get, where that is not what the arrays above say.
     """
 
     identity: dict[str, object]
     method: str
-    edges: list[int]
-    states: list[tuple[np.ndarray, np.ndarray]]
+    image: Progress
+    direct: Progress | None
     before: Estimate | None
     network: Network | None
     density_network: DensityNetwork | None
     alpha: np.ndarray | None
-    parts: list[np.ndarray]
     guide: Guide | None
-
-    @property
-    def passes(self) -> int:
-        """Passes done."""
-        return len(self.edges) - 1
+    counts: np.ndarray | None = None
 
     def save(self, path: str | Path) -> None:
         """Replace `path` in one step: whenever the process is killed, there is an old or a new file."""
-        arrays: dict[str, np.ndarray] = {}
-        for number, (state, samples) in enumerate(self.states):
-            arrays |= {f"state{number}": state, f"samples{number}": samples}
-        arrays |= {f"part{number}": part for number, part in enumerate(self.parts)}
+        arrays = self.image.arrays("")
+        if self.direct is not None:
+            arrays |= self.direct.arrays("direct_")
+        if self.counts is not None:
+            arrays["counts"] = self.counts
         if self.before is not None:
             arrays |= {
                 "before_mean": self.before.mean,
@@ -89,8 +139,10 @@ class Checkpoint:
         if self.alpha is not None:
             arrays["alpha"] = self.alpha
         if self.guide is not None:
-            arrays |= {f"guide_{name}": array for name, array in self.guide._asdict().items()}
-        about = {name: getattr(self, name) for name in ABOUT}
+            arrays |= guide_arrays(self.guide)
+        direct_edges = None if self.direct is None else self.direct.edges
+        edges = (self.image.edges, direct_edges)
+        about = dict(zip(ABOUT, (self.identity, self.method, *edges), strict=True))
         arrays["checkpoint"] = np.array(json.dumps(about))
         if self.network is None:
             write_whole(path, lambda file: np.savez(file, **arrays))
@@ -122,27 +174,20 @@ class Checkpoint:
         if about["method"] == "ncv":
             network = Network.of_arrays(arrays)
             density = DensityNetwork.of_arrays(arrays, network.description)
-        guide = None
-        if "guide_means" in arrays:
-            densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
-            means = array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3))
-            guide = Guide(densities, means, array_of(arrays, "guide_needs", np.float32, (GUIDE_CELLS,)))
-        points = (ANY, ANY)
+        direct = None
+        if about["direct_edges"] is not None:
+            direct = Progress.of_arrays(arrays, "direct_", about["direct_edges"])
         return cls(
             about["identity"],
             about["method"],
-            _edges(about["edges"]),
-            [_state(arrays, number) for number in (0, 1) if number == 0 or "state1" in arrays],
+            Progress.of_arrays(arrays, "", about["edges"]),
+            direct,
             _before(arrays) if "before_mean" in arrays else None,
             network,
             density,
-            array_of(arrays, "alpha", np.float32, points) if "alpha" in arrays else None,
-            [
-                array_of(arrays, name, np.float64, (ANY, *points))
-                for name in ("part0", "part1")
-                if name in arrays
-            ],
-            guide,
+            array_of(arrays, "alpha", np.float32, (ANY, ANY)) if "alpha" in arrays else None,
+            guide_of(arrays),
+            _counts(arrays) if "counts" in arrays else None,
         )
 
     def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
@@ -158,6 +203,8 @@ class Checkpoint:
         for name, array in alike.items():
             if array is not None and array.shape != expected:
                 raise CheckpointError(f"the checkpoint's {name} must be {expected}, is {array.shape}")
+        if self.counts is not None and self.counts.shape != (points,):
+            raise CheckpointError(f"the checkpoint's counts must be ({points},), is {self.counts.shape}")
         if self.method == "ncv" and with_density and self.density_network is None:
             raise CheckpointError("the checkpoint lacks the density of its network")
 
@@ -179,6 +226,20 @@ class Checkpoint:
             raise CheckpointError(f"the checkpoint is of another render: {differences}")
 
 
+def guide_arrays(guide: Guide) -> dict[str, np.ndarray]:
+    """The arrays of a file that hold a guide."""
+    return {f"guide_{name}": array for name, array in guide._asdict().items()}
+
+
+def guide_of(arrays: dict[str, np.ndarray]) -> Guide | None:
+    """The guide among the arrays of a file, if there is one; ValueError if it is not well formed."""
+    if "guide_means" not in arrays:
+        return None
+    densities = array_of(arrays, "guide_densities", np.uint32, (GUIDE_CELLS, DENSITY_WORDS))
+    means = array_of(arrays, "guide_means", np.float32, (GUIDE_CELLS, 3))
+    return Guide(densities, means, array_of(arrays, "guide_needs", np.float32, (GUIDE_CELLS,)))
+
+
 def _edges(found: object) -> list[int]:
     if not isinstance(found, list) or not found or found[0] != 0:
         raise ValueError("its passes do not begin at 0")
@@ -195,9 +256,16 @@ def _numbers_of_samples(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
     return samples
 
 
-def _state(arrays: dict[str, np.ndarray], number: int) -> tuple[np.ndarray, np.ndarray]:
-    samples = _numbers_of_samples(arrays, f"samples{number}")
-    return array_of(arrays, f"state{number}", np.float32, (ANY, len(samples))), samples
+def _state(arrays: dict[str, np.ndarray], prefix: str, number: int) -> tuple[np.ndarray, np.ndarray]:
+    samples = _numbers_of_samples(arrays, f"{prefix}samples{number}")
+    return array_of(arrays, f"{prefix}state{number}", np.float32, (ANY, len(samples))), samples
+
+
+def _counts(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    counts = array_of(arrays, "counts", np.int64, (ANY,))
+    if (counts < 1).any() or (counts > MOST_SAMPLES).any():
+        raise ValueError(f"'counts' must hold numbers from 1 to {MOST_SAMPLES}")
+    return counts
 
 
 def _before(arrays: dict[str, np.ndarray]) -> Estimate:

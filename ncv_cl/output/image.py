@@ -17,6 +17,7 @@ from ..host.files import PREFIX, check_writable
 # The channel names that viewers and denoisers look for.
 _RGB, _XYZ = ("R", "G", "B"), ("X", "Y", "Z")
 LAYER_CHANNELS = {"albedo": _RGB, "N": _XYZ, "depth": ("Z",), "G": _RGB, "residual": _RGB}
+LAYER_CHANNELS["direct"] = _RGB
 OUTPUT_SUFFIXES = (".exr", ".png")
 
 # EXR attributes hold only 32-bit numbers. Each metadata entry is written as one of its own for

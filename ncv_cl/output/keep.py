@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ..estimation.allocate import Allocation
 from ..estimation.control_variate import ControlVariate
+from ..estimation.direct import DirectEstimate
 from ..estimation.image_estimate import ImageEstimate
 from ..network.network import Network
 from ..sampling.accumulate import Estimate
 from ..sampling.guide import Guide
-from .checkpoint import Checkpoint
+from .checkpoint import Checkpoint, Progress, guide_arrays
 
 
 @dataclass
@@ -40,10 +42,13 @@ class Keep:
     resumed: Checkpoint | None = None
     not_written: dict[str, str] = field(default_factory=dict)
 
-    def save_network(self, network: Network, companions: dict[str, np.ndarray]) -> None:
-        """Write the trained network, if it is wanted."""
+    def save_network(
+        self, network: Network, companions: dict[str, np.ndarray], guide: Guide | None = None
+    ) -> None:
+        """Write the trained network, if it is wanted, and what was learned with it."""
         if self.network is not None:
-            self._attempt(self.network, lambda: network.save(self.network, **companions))
+            more = companions if guide is None else companions | guide_arrays(guide)
+            self._attempt(self.network, lambda: network.save(self.network, **more))
 
     def note_no_network(self) -> None:
         """Note that there is no network to write."""
@@ -56,21 +61,27 @@ class Keep:
         before: Estimate | None,
         variate: ControlVariate | None,
         guide: Guide | None,
+        direct: DirectEstimate | None = None,
+        allocation: Allocation | None = None,
     ) -> None:
-        """Write a checkpoint, if it is wanted."""
+        """Write a checkpoint, if it is wanted; with an `allocation` that must not be made again."""
         if self.checkpoint is None:
             return
+        counts = None
+        if allocation is not None:
+            counts = np.empty_like(allocation.counts)
+            counts[allocation.chosen] = allocation.counts
         found = Checkpoint(
             identity=self.identity,
             method="mc" if variate is None else "ncv",
-            edges=[int(edge) for edge in image_estimate.passes.edges[: image_estimate.done + 1]],
-            states=image_estimate.states(),
+            image=Progress.of(image_estimate),
+            direct=Progress.of(direct.image_estimate) if direct is not None else None,
             before=before,
             network=variate.folded.network if variate else None,
             density_network=variate.density_network if variate else None,
             alpha=variate.alpha if variate else None,
-            parts=image_estimate.parts,
             guide=guide,
+            counts=counts,
         )
         self._attempt(self.checkpoint, lambda: found.save(self.checkpoint))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..estimation.image_estimate import error_of
 from ..host.clock import Stopwatch
 from ..host.version import package_version
 from ..network.network import Network
@@ -18,6 +19,7 @@ from ..opencl.device import Device
 from ..opencl.program import kernel_folder
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
+from ..sampling.problem import Apart
 from ..sampling.samples import RayCount
 from ..scene.load import Scene
 from ..settings.settings import Settings
@@ -85,6 +87,20 @@ def statistics(
                 residual.variance[:, residual.known].mean() / spread.mean()
             )
     return found
+
+
+def about_direct(apart: Apart, found: Estimate, settings: Settings) -> dict[str, object]:
+    """Counts of direct light that was estimated apart; means are over the points that face a light."""
+    rays = apart.source.rays
+    return {
+        "points": len(apart.lit),
+        "samples_per_point": float(found.samples[apart.lit].mean()),
+        "rays_traced": rays.traced,
+        "rays_on_device": rays.on_device,
+        "samples_off_lines": rays.off_lines,
+        "estimated_mse": error_of(found, settings),
+        "seconds": rays.trace_seconds + rays.sample_seconds,
+    }
 
 
 def about_values(image: Image, reference: np.ndarray | None) -> None:

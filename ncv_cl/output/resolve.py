@@ -110,6 +110,7 @@ def resolve_image(
     residual: Estimate | None = None,
     integral: np.ndarray | None = None,
     by_count: bool = False,
+    direct: Estimate | None = None,
 ) -> Image:
     """The image of the estimates, with its layers.
 
@@ -121,11 +122,16 @@ def resolve_image(
         float (channels, points.active), G of each active point.
     by_count : bool
         As `combine` takes it.
+    direct : Estimate, optional
+        Of direct light that the other estimates leave out.
     """
     integrand, samples = settings.integrand, float(settings.spp)
     grid = PixelGrid(points, settings.size, settings.sampling.supersample)
     active, everything = slice(0, points.active), slice(0, points.total)
     mean, variance = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
+    if direct is not None:
+        # Of other samples: errors are independent.
+        mean, variance = mean + direct.mean, variance + direct.variance_of_mean
     pixels = grid.average(mean, active) + np.zeros(3)
     # Errors of a pixel's points are independent: variances add with the square of the weight.
     pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
@@ -149,6 +155,8 @@ def resolve_image(
     if residual is not None and integral is not None:
         layers["G"] = grid.average(integral, active) + np.zeros(3)
         layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+    if direct is not None:
+        layers["direct"] = grid.average(direct.mean, active) + np.zeros(3)
     return Image(pixels, pixel_variance, layers)
 
 

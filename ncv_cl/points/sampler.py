@@ -38,6 +38,9 @@ class Stream(enum.IntEnum):
     WARM_UP = 8
     # The constant that is subtracted from a callable.
     OFFSET = 9
+    # Direct light that is estimated apart from the rest, and its second scramble.
+    DIRECT = 10
+    DIRECT_AGAIN = 11
 
 
 class HostStream(enum.IntEnum):

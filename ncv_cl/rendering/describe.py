@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..host.clock import Stopwatch
 from ..output.image import Image
-from ..output.report import metadata, seconds_of, skips, statistics
+from ..output.report import about_direct, metadata, seconds_of, skips, statistics
 from ..sampling.problem import Problem
 from ..scene.load import Scene
 from ..settings.settings import Settings
@@ -30,6 +30,8 @@ def describe(
         Seconds of the whole render.
     """
     points, rays, drawn = problem.points, problem.source.rays, outcome.drawn
+    if problem.apart is not None:
+        rays = rays + problem.apart.source.rays
     stats: dict[str, object] = {"seconds": seconds_of(watch, rays, total)}
     stats |= statistics(
         points,
@@ -43,6 +45,8 @@ def describe(
     )
     if outcome.training:
         stats["training"] = outcome.training
+    if problem.apart is not None and drawn.direct is not None:
+        stats["direct"] = about_direct(problem.apart, drawn.direct, settings)
     if settings.method == "auto":
         stats["auto"] = outcome.plan.as_dict()
     stats["ended_by"] = drawn.ended_by
@@ -56,3 +60,5 @@ def describe(
     # Of "auto", the options of what it has chosen.
     found = metadata(scene, outcome.plan.settings, problem.device, *sampled)
     image.metadata = found | {"method": settings.method}
+    if "direct" in stats:
+        image.metadata["direct_spp"] = stats["direct"]["samples_per_point"]

@@ -23,6 +23,8 @@ from .pipeline import Outcome, estimate_integrals
 
 # There are usually few integrals, so a wider network costs little in all.
 WIDE = Training(preset="wide")
+# Options of sampling that need a scene.
+OF_SCENES = {"supersample", "visibility", "split_direct", "skip_dark"}
 # Features are brought into this cube.
 UNIT_CUBE = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
 
@@ -103,9 +105,11 @@ def estimate(
         training = Training()
     groups = gathered({"sampling": sampling, "training": training, "stopping": stopping}, options)
     settings = Settings(HostIntegrand(channels), method, spp, (points, 1), seed, **groups)
-    unused = {"supersample", "visibility", "skip_dark"} & set(changed(settings.sampling))
-    if unused or settings.allocation == "pilot":
-        raise ValueError(f"{sorted(unused)[0] if unused else 'allocation pilot'} is for scenes")
+    unused = sorted(OF_SCENES & set(changed(settings.sampling)))
+    if settings.allocation in ("pilot", "relative"):
+        unused.append(f"allocation {settings.allocation}")
+    if unused:
+        raise ValueError(f"{unused[0]} is for scenes")
     device = choose_device(device)
     shading = _points_of(device, points, features)
     source = CallableSource(device, shading, f, channels, settings.sampling.sampler, seed)

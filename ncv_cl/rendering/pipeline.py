@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..estimation.allocate import Allocation
 from ..estimation.control_variate import ControlVariate, Trained, control_variate, idle
+from ..estimation.direct import DirectEstimate, direct_edges
 from ..estimation.draw import Drawn, allocation_of, begin, draw, finish
+from ..estimation.passes import edges_of
 from ..estimation.pilot import draw_pilot
-from ..estimation.plan import Plan, make_plan
 from ..estimation.stopping import ErrorTarget
 from ..host.clock import UNLIMITED, Run
 from ..learning.learn import learn
@@ -20,6 +23,7 @@ from ..sampling.accumulate import Estimate
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
+from .plan import Plan, make_plan
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,8 @@ def estimate_integrals(
     if before.trained is not None:
         # A resumed render must get the same control variate, whatever time is left.
         untimed = run if resumed is None else replace(run, clock=UNLIMITED)
-        variate = control_variate(problem, settings, untimed, before.trained, keep.save_network)
+        save = functools.partial(keep.save_network, guide=before.guide)
+        variate = control_variate(problem, settings, untimed, before.trained, save)
     if variate is None:
         keep.note_no_network()
     drawn = _drawn(problem, settings, run, keep, before, variate)
@@ -124,7 +129,9 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
         return Before()
     if given is not None:
         given.network.check_fits(settings.integrand.channels, problem.inputs)
-        return Before(given)
+        if given.guide is not None and settings.guides:
+            problem.source.use_guide(given.guide)
+        return Before(given, guide=given.guide)
     learned = learn(problem, settings, run)
     trained = None
     if learned.network is not None:
@@ -143,6 +150,20 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
     return Before(trained, resumed.before, guide=resumed.guide)
 
 
+def _direct(
+    problem: Problem, settings: Settings, run: Run, resumed: Checkpoint | None
+) -> DirectEstimate:
+    """Direct light apart, with its first samples or those of a checkpoint."""
+    first = int(edges_of(settings, problem.points.active)[1])
+    found = resumed.direct if resumed is not None else None
+    edges = direct_edges(first, settings.spp, None if found is None else found.edges)
+    direct = DirectEstimate(problem, settings, run, edges)
+    if found is not None:
+        found.give_back(direct.image_estimate)
+    direct.follow(first)
+    return direct
+
+
 def _drawn(
     problem: Problem,
     settings: Settings,
@@ -152,18 +173,24 @@ def _drawn(
     variate: ControlVariate | None,
 ) -> Drawn:
     """Draw the passes, from where the checkpoint ended if there is one."""
-    resumed = keep.resumed
-    allocation = allocation_of(problem, settings, variate, before.estimate)
-    done = None if resumed is None else resumed.edges
+    resumed, direct = keep.resumed, None
+    if problem.apart is not None:
+        direct = _direct(problem, settings, run, resumed)
+    if resumed is not None and resumed.counts is not None:
+        allocation = Allocation.of_counts(resumed.counts)
+    else:
+        allocation = allocation_of(problem, settings, variate, before.estimate, direct)
+    done = None if resumed is None else resumed.image.edges
     image_estimate = begin(problem, settings, run, variate, allocation, done)
     if resumed is not None:
-        image_estimate.restore(resumed.states, resumed.parts, resumed.passes)
+        resumed.image.give_back(image_estimate)
     share = variate.density.uniform_share if variate and image_estimate.follows_density else 1.0
     target = ErrorTarget(settings.stopping.target_mse, problem.narrowest, share)
 
     def after_pass() -> None:
         with run.watch("checkpoint"):
-            keep.write(image_estimate, before.estimate, variate, before.guide)
+            kept = allocation if settings.allocation == "relative" else None
+            keep.write(image_estimate, before.estimate, variate, before.guide, direct, kept)
 
-    ended_by = draw(problem, settings, run, image_estimate, target, after_pass)
-    return finish(image_estimate, allocation, ended_by)
+    ended_by = draw(problem, settings, run, image_estimate, target, after_pass, direct)
+    return finish(image_estimate, allocation, ended_by, direct)

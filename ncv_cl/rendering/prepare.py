@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from ..estimation.direct import direct_samples
 from ..host.clock import Stopwatch
+from ..integrands import Integrand
 from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
 from ..points.points import ShadingPoints, find_points
 from ..points.trace import Tracer
 from ..sampling.paths import sample_source
-from ..sampling.problem import Problem
-from ..sampling.samples import SAMPLES_A_PASS
+from ..sampling.problem import Apart, Problem
+from ..sampling.samples import SAMPLES_A_PASS, SampleSource
 from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.lines import lines_pay
@@ -63,15 +67,21 @@ def prepare(
     if integrand.promises("sliced") and settings.sampling.visibility == "lines":
         with watch("slices"):
             slices = Slices(device, scene)
+    common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
+    apart, rest = None, integrand
+    split, lit = _split(scene, settings, points, lines)
+    if split is not None:
+        direct, rest = split
+        own = SampleSource(device, scene, tracer, points, direct, *common, occluders, lines=lines)
+        # Paths have no rays to test then.
+        apart, occluders = Apart(own, lit), None
     source = sample_source(
         device,
         scene,
         tracer,
         points,
-        integrand,
-        settings.sampling.sampler,
-        settings.seed,
-        SAMPLES_A_PASS,
+        rest,
+        *common,
         occluders,
         lines=lines,
         slices=slices,
@@ -88,6 +98,8 @@ def prepare(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
+        glow=integrand.glow(scene, points.material[: points.active]).T,
+        apart=apart,
     )
 
 
@@ -97,12 +109,31 @@ def _occluders(
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
     hierarchy = None
-    if integrand.promises("along_lines") and visibility in ("auto", "lines"):
+    splits = integrand.apart(scene) is not None and settings.sampling.split_direct != "off"
+    if (integrand.promises("along_lines") or splits) and visibility in ("auto", "lines"):
+        samples = direct_samples(settings.spp) if splits else settings.spp
         occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES)
-        if visibility == "lines" or lines_pay(occluders.mean_count, settings.spp):
+        if visibility == "lines" or lines_pay(occluders.mean_count, samples):
             return occluders, True
         hierarchy = occluders.hierarchy
     return Occluders(device, scene, points, integrand, MOST_OCCLUDERS, hierarchy), False
+
+
+def _split(
+    scene: Scene, settings: Settings, points: ShadingPoints, lines: bool
+) -> tuple[tuple[Integrand, Integrand] | None, np.ndarray]:
+    """Direct light and the rest if they are estimated apart, and the points that the first lights."""
+    asked = settings.sampling.split_direct
+    parts = settings.integrand.apart(scene)
+    if asked == "on" and parts is None:
+        raise ValueError(f"{scene.name}: there is no light but direct light, or none of it, to split")
+    lit = np.zeros(0, np.uint32)
+    if parts is None or not points.active or not (asked == "on" or (asked == "auto" and lines)):
+        return None, lit
+    lit = np.arange(points.active, dtype=np.uint32)
+    if settings.sampling.skip_dark:
+        lit = lit[~parts[0].dark(scene, points)]
+    return parts if len(lit) else None, lit
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

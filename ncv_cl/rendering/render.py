@@ -9,14 +9,14 @@ import numpy as np
 
 from ..estimation.control_variate import Trained
 from ..host.clock import Clock, Run, never
-from ..host.files import check_paths
+from ..host.files import check_paths, read_arrays
 from ..integrands import Integrand
 from ..integrands.named import named_integrand
 from ..learning.density import DensityNetwork
-from ..network.network import Network
+from ..network.network import Network, NetworkError
 from ..opencl.choose import choose_device
 from ..opencl.device import Device
-from ..output.checkpoint import Checkpoint
+from ..output.checkpoint import Checkpoint, guide_of
 from ..output.image import Image, checked_reference, read_reference
 from ..output.keep import Keep
 from ..output.report import about_values, identity
@@ -143,12 +143,16 @@ def reference_of(given: np.ndarray | str | Path | None, size: tuple[int, int]) -
 
 
 def _given(network: Network | str | Path | None) -> Trained | None:
-    """The network that is to be used, with its density if it comes from a file."""
+    """The network that is to be used, with its density and guide if it comes from a file."""
     if network is None:
         return None
     if isinstance(network, Network):
         return Trained(network)
-    return Trained(Network.load(network), DensityNetwork.load(network))
+    trained = Network.load(network), DensityNetwork.load(network)
+    try:
+        return Trained(*trained, guide=guide_of(read_arrays(network)))
+    except ValueError as error:
+        raise NetworkError(f"{network} is not a network saved by ncv_cl: {error}") from error
 
 
 def _keep(files: Files, asked: dict[str, object]) -> Keep:
@@ -171,4 +175,5 @@ def _image(scene: Scene, settings: Settings, run: Run, problem: Problem, outcome
             drawn.residual,
             outcome.integral,
             outcome.by_count,
+            drawn.direct,
         )

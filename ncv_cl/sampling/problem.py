@@ -15,6 +15,22 @@ from .samples import Batches
 
 
 @dataclass(frozen=True)
+class Apart:
+    """Direct light that is estimated apart from the rest of the integrand.
+
+    Attributes
+    ----------
+    source : Batches
+        Draws its samples, at the same points.
+    lit : ndarray
+        uint32, the points that face a light; at all others it is zero.
+    """
+
+    source: Batches
+    lit: np.ndarray
+
+
+@dataclass(frozen=True)
 class Problem:
     """The integrals of an image, or of a function of the user.
 
@@ -35,6 +51,10 @@ class Problem:
         Whether points lie side by side in an image.
     narrowest : float
         Width of the narrowest light's strip of the square; 1 without lights.
+    glow : ndarray, optional
+        float32 (channels, points.active), what surfaces add to the integrals by themselves.
+    apart : Apart, optional
+        A part of the integrals that `source` leaves out.
     """
 
     device: Device
@@ -45,6 +65,8 @@ class Problem:
     demodulated: bool = False
     is_image: bool = True
     narrowest: float = 1.0
+    glow: np.ndarray | None = None
+    apart: Apart | None = None
 
     @functools.cached_property
     def inputs(self) -> tuple[str, ...]:

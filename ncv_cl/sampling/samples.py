@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -61,6 +61,9 @@ class RayCount:
     off_lines: int = 0
     trace_seconds: float = 0.0
     sample_seconds: float = 0.0
+
+    def __add__(self, other: RayCount) -> RayCount:
+        return RayCount(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -37,16 +37,20 @@ class Sampling:
         Owen-scrambled Sobol points (one scramble a shading point) or independent ones.
     supersample : int
         k makes k × k shading points a pixel, averaged by a box filter.
-    allocation : {"magnitude", "pilot", "uniform"}, optional
+    allocation : {"magnitude", "relative", "pilot", "uniform"}, optional
         How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
-        its variance in a quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By
-        default what the preset says for ncv, "uniform" for mc.
+        this over what is expected of its pixel's value ("relative", for ncv), by its variance in a
+        quarter of the samples, at most 64 ("pilot", for mc), or alike everywhere. By default "uniform"
+        for mc and for global illumination, else what the preset says.
     visibility : {"auto", "lines", "points", "embree"}
         "lines": find what is seen of whole lines on the lights (direct light), or in whole slices of the
         hemisphere (ambient occlusion), and sample only that: no shadow rays, less error. "points": test
         shadow rays that few triangles can block on the device. "embree": trace all of them; pixels
         differ from those by points where a ray grazes an edge. "auto": lines in direct light, where
         `spp` is large for the number of triangles before the lights; else points.
+    split_direct : {"auto", "on", "off"}
+        Global illumination: estimate direct light apart from the light of paths ("on"), by samples of
+        its own, or both by the same samples ("off"). "auto": apart where it can be sampled along lines.
     skip_dark : bool
         Leave out points that face away from every light, whose value is zero, or, to compare,
         compute them as well.
@@ -54,8 +58,9 @@ class Sampling:
 
     sampler: Literal["sobol", "independent"] = "sobol"
     supersample: int = 1
-    allocation: Literal["magnitude", "pilot", "uniform"] | None = None
+    allocation: Literal["magnitude", "relative", "pilot", "uniform"] | None = None
     visibility: Literal["auto", "lines", "points", "embree"] = "auto"
+    split_direct: Literal["auto", "on", "off"] = "auto"
     skip_dark: bool = True
 
     def __post_init__(self) -> None:
@@ -84,9 +89,9 @@ class Training:
         constant on 8 × 8 cells ("table"), linear on the triangles into which the first layer cuts the
         square ("subdivision"), or uniform ("none"). The default is the preset's.
     network : Network, str or Path, optional
-        A trained network, or its file, to use instead of training one. A file also holds the density's
-        network; a `Network` does not, and the residual is then sampled uniformly. Control coefficients
-        are 1.
+        A trained network, or its file, to use instead of training one, as for another view of the same
+        scene. A file also holds the density's network and, for global illumination, what guides bounces;
+        a `Network` does not, and the residual is then sampled uniformly. Control coefficients are 1.
     """
 
     preset: str = "default"

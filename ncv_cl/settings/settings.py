@@ -24,6 +24,8 @@ from .options import (
 from .presets import PRESETS, Preset
 
 METHODS = ("auto", "ncv", "mc")
+# Allocations by what is predicted of the residual.
+BY_RESIDUAL = ("magnitude", "relative")
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,11 @@ class Settings:
         seed_words(self.seed)
         object.__setattr__(self, "seed", int(self.seed))
         self._check_method()
+        if self.sampling.split_direct != "auto" and not self.integrand.splits:
+            raise ValueError(
+                "split_direct is for integrand gi with its direct light: leave it out for "
+                f"{self.integrand.name}"
+            )
         by_lines = self.integrand.promises("along_lines") or self.integrand.promises("sliced")
         if self.sampling.visibility == "lines" and not by_lines:
             raise ValueError(
@@ -77,9 +84,9 @@ class Settings:
             if allocation == "pilot":
                 raise ValueError("allocation 'pilot' is for method 'mc'; the others take 'magnitude'")
             return
-        if allocation == "magnitude":
+        if allocation in BY_RESIDUAL:
             raise ValueError(
-                "plain Monte Carlo learns no residual: allocation 'magnitude' needs method 'ncv' "
+                f"plain Monte Carlo learns no residual: allocation {allocation!r} needs method 'ncv' "
                 "(allocation 'pilot' suits 'mc')"
             )
         unused = [
@@ -103,7 +110,8 @@ class Settings:
         if method == "ncv":
             return dataclasses.replace(self, method=method)
         # Options of a network have no effect then.
-        allocation = None if self.sampling.allocation == "magnitude" else self.sampling.allocation
+        allocation = self.sampling.allocation
+        allocation = None if allocation in BY_RESIDUAL else allocation
         sampling = dataclasses.replace(self.sampling, allocation=allocation)
         return dataclasses.replace(self, method=method, sampling=sampling, training=Training())
 
@@ -136,14 +144,16 @@ class Settings:
 
     @property
     def allocation(self) -> str:
-        """How samples are spread over the image: "magnitude", "pilot" or "uniform"."""
-        follows = self.method != "mc" and self.preset.density
+        """How samples are spread over the image: "magnitude", "relative", "pilot" or "uniform"."""
+        # Paths' noise is nearly everywhere, so there is little to gain: less mean square error by some
+        # hundredths, for relative errors half as large again.
+        follows = self.method != "mc" and self.preset.density and not self.integrand.nested
         return self.sampling.allocation or ("magnitude" if follows else "uniform")
 
     @property
     def needs_magnitude(self) -> bool:
         """Whether the residual's magnitude is learned, for the density or for the allocation."""
-        return self.method != "mc" and (self.uses_density or self.allocation == "magnitude")
+        return self.method != "mc" and (self.uses_density or self.allocation in BY_RESIDUAL)
 
     @property
     def guides(self) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..estimation.method import choose_method
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
-from .method import choose_method
 
 
 @dataclass(frozen=True)

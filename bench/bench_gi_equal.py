@@ -1,0 +1,132 @@
+"""Global illumination to equal error: processor seconds of plain path tracing over those of others.
+
+In the shipped scenes that are lit indirectly, and in rooms that are made here: furnished, lit around a
+corner, nearly white, glossy, lit through a door. To the errors that plain Monte Carlo with Sobol points
+has at some number of samples, direct light and paths by the same samples: the mean square error, and the
+relative one, the mean over pixels of (error / (value + a hundredth of the mean))². The errors are the
+mean variance over renders of different seeds, so no reference is needed. Seconds are the processor time
+of the process, the least over the seeds; kernels are compiled before.
+
+`--allocations` compares allocations at one number of samples instead; printed is what plain Monte Carlo
+would need to each error, over what they need, by errors times seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from crossover import Curve
+from rooms import ROOMS
+from training import SCENES
+
+import ncv_cl as ncv
+from ncv_cl.opencl.choose import choose_device
+from ncv_cl.opencl.device import Device
+
+SHIPPED = ("cornell_box", "interior")
+BASE = {"method": "mc", "split_direct": "off"}
+OTHERS = {"auto": {"method": "auto"}, "mc": {"method": "mc"}}
+ALLOCATIONS = {
+    name: {"method": "ncv", "allocation": name} for name in ("uniform", "magnitude", "relative")
+}
+# An error of dark pixels counts relative to this part of the image's mean.
+DARK_SHARE = 0.01
+ERRORS = ("mse", "relative")
+
+
+class Case:
+    """A scene, and renders of it."""
+
+    def __init__(self, device: Device, name: str, size: int, seeds: int) -> None:
+        self.name, self._seeds = name, seeds
+        self._scene = ROOMS[name]() if name in ROOMS else ncv.load_scene(SCENES / f"{name}.toml")
+        self._common = {"integrand": "gi", "size": (size, size), "device": device}
+
+    def measure(self, wanted: dict[tuple[str, int], dict[str, object]]) -> dict[tuple[str, int], dict]:
+        """Seconds and errors by name and samples, all seeds of all in turns."""
+        runs: dict[tuple[str, int], list[tuple[float, np.ndarray]]] = {key: [] for key in wanted}
+        for (_, spp), options in wanted.items():
+            ncv.render(self._scene, spp=min(spp, 4), **self._common, **options)
+        for seed in range(1, self._seeds + 1):
+            for (name, spp), own in runs.items():
+                began = time.process_time()
+                image = ncv.render(self._scene, spp=spp, seed=seed, **self._common, **wanted[name, spp])
+                own.append((time.process_time() - began, image.pixels.astype(np.float64)))
+        value = np.mean([pixels for own in runs.values() for _, pixels in own], axis=0)
+        scale = np.maximum(value, 0) + DARK_SHARE * value.mean()
+        found = {}
+        for (name, spp), own in runs.items():
+            variance = np.var([pixels for _, pixels in own], axis=0, ddof=1)
+            found[name, spp] = {
+                "spp": spp,
+                "seconds": min(seconds for seconds, _ in own),
+                "mse": float(variance.mean()),
+                "relative": float((variance / scale**2).mean()),
+                "least": float(min(pixels.min() for _, pixels in own)),
+            }
+        return found
+
+
+def to_equal_error(case: Case, spp: int) -> dict[str, float]:
+    """Print and return seconds of the base over those of others, to each of its errors."""
+    wanted = {("base", spp): BASE}
+    for name, options in OTHERS.items():
+        wanted |= {(name, n): options for n in (spp // 8, spp // 2, spp)}
+    found = case.measure(wanted)
+    base, gains = found["base", spp], {}
+    for name in OTHERS:
+        for error in ERRORS:
+            rows = [
+                row | {"mse": row[error], "stages": {}} for (n, _), row in found.items() if n == name
+            ]
+            gains[f"{name} {error}"] = base["seconds"] / float(Curve.of(rows).seconds_to(base[error])[0])
+    cells = ", ".join(f"{name} {gain:.2f}" for name, gain in gains.items())
+    print(f"{case.name:12} base {base['seconds']:.2f} s, over: {cells}", flush=True)
+    return gains
+
+
+def compare_allocations(case: Case, spp: int) -> dict[str, float]:
+    """Print and return the base's errors times seconds over those by each allocation."""
+    found = case.measure({("base", 2 * spp): BASE} | {(n, spp): o for n, o in ALLOCATIONS.items()})
+    base, gains = found["base", 2 * spp], {}
+    for name in ALLOCATIONS:
+        row = found[name, spp]
+        for error in ERRORS:
+            gains[f"{name} {error}"] = base[error] * base["seconds"] / (row[error] * row["seconds"])
+        gains[f"{name} least"] = row["least"]
+    print(f"{case.name:12} " + ", ".join(f"{n} {gain:.3g}" for n, gain in gains.items()), flush=True)
+    return gains
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("cases", nargs="*", metavar="SCENE", help="default: all")
+    parser.add_argument("--spp", type=int, help="default: 512, of allocations 128")
+    parser.add_argument("--size", type=int, default=128, help="points a side (default %(default)s)")
+    parser.add_argument("--seeds", type=int, default=2, help="renders of each (default %(default)s)")
+    parser.add_argument("--allocations", action="store_true", help="compare allocations instead")
+    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    options = parser.parse_args()
+    device = choose_device(options.device)
+    print(device.identity)
+    function, spp = (compare_allocations, 128) if options.allocations else (to_equal_error, 512)
+    results = {}
+    for name in options.cases or (*SHIPPED, *ROOMS):
+        case = Case(device, name, options.size, options.seeds)
+        results[name] = function(case, options.spp or spp)
+    for number in next(iter(results.values())):
+        own = [found[number] for found in results.values()]
+        if min(own) > 0:
+            print(f"{number}: mean {np.exp(np.log(own).mean()):.2f}, least {min(own):.2f}")
+    if options.json:
+        found = {"device": device.identity, "size": options.size, "cases": results}
+        Path(options.json).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
