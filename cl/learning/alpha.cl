@@ -26,6 +26,7 @@ kernel void column_moments(const uint count, const uint stride, const uint sampl
   const PointNetwork network = NETWORK_OF(order[column]);
   /* Sums are of differences to values near the means, so that little is lost to rounding. */
   real f_shift[CHANNELS], g_shift[CHANNELS], f_sum[CHANNELS], g_sum[CHANNELS], product[CHANNELS], square[CHANNELS];
+#pragma unroll
   for (uint c = 0; c < CHANNELS; ++c)
     f_sum[c] = g_sum[c] = product[c] = square[c] = f_shift[c] = g_shift[c] = (real)0.0f;
   for (uint first = 0; first < samples; first += VEC) {
@@ -33,6 +34,7 @@ kernel void column_moments(const uint count, const uint stride, const uint sampl
     real g[CHANNELS];
     network_value(&network, load_samples(all_u + column, first, samples, stride),
                   load_samples(all_v + column, first, samples, stride), g);
+#pragma unroll
     for (uint c = 0; c < CHANNELS; ++c) {
       const real f = load_samples(all_targets + c * (ulong)stride + column, first, samples, CHANNELS * (ulong)stride);
       if (first == 0) {
@@ -47,6 +49,7 @@ kernel void column_moments(const uint count, const uint stride, const uint sampl
       square[c] = FMA(g_distance, g_distance, square[c]);
     }
   }
+#pragma unroll
   for (uint c = 0; c < CHANNELS; ++c) {
     const float f_total = sum_lanes(f_sum[c]);
     const float g_total = sum_lanes(g_sum[c]);

@@ -121,6 +121,7 @@ typedef JOIN(float, GRID_FEATURES) entry_features;
 /* The grid's rows of VEC points, from the present table; row f at features + f * VEC. */
 void grid_features(const real unit[3], global const float *restrict table, const uint entry_floats,
                    float *features) {
+  UNROLL_FOR_LANES
   for (uint level = 0; level < GRID_LEVELS; ++level) {
     bits cell_entry[8];
     real cell_weight[8];
@@ -174,6 +175,7 @@ kernel void encode_grid(const uint count, const uint stride, global const float 
   for (uint axis = 0; axis < 3; ++axis) position[axis] = LOAD(unit + axis * (ulong)stride + first);
   float rows[GRID_ROWS * VEC];
   grid_features(position, table, GRID_FEATURES, rows);
+  UNROLL_FOR_LANES
   for (uint f = 0; f < GRID_ROWS; ++f) STORE(LOAD(rows + f * VEC), features + f * (ulong)stride + first);
 }
 

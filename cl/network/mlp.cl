@@ -69,7 +69,7 @@ void network_value(const PointNetwork *network, const real u, const real v, real
     real z[NEURON_BLOCK];
 #pragma unroll
     for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = (real)network->b2[j + k];
-#pragma unroll 4
+    UNROLL_BY_FOUR
     for (int i = 0; i < HIDDEN1; ++i) {
 #pragma unroll
       for (int k = 0; k < NEURON_BLOCK; ++k) z[k] = FMA((real)network->w2[(j + k) * HIDDEN1 + i], h1[i], z[k]);

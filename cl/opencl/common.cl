@@ -116,6 +116,16 @@ float sum_lanes(const real x) {
 #endif
 }
 
+/* Before a loop over a private array. A lane of a GPU keeps an array in registers only if all its indices are known when
+ * it is compiled; on a CPU arrays are in its cache, and short loops are faster. */
+#if VEC == 1
+#define UNROLL_FOR_LANES _Pragma("unroll")
+#define UNROLL_BY_FOUR _Pragma("unroll")
+#else
+#define UNROLL_FOR_LANES
+#define UNROLL_BY_FOUR _Pragma("unroll 4")
+#endif
+
 /* The elements of an array at VEC places. Unrolled, they never go by way of memory. */
 #if VEC == 1
 real gather(global const float *restrict array, const whole at) { return array[at]; }

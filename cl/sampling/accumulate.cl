@@ -75,6 +75,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   real shift[QUANTITIES * CHANNELS];
   real sum[QUANTITIES * CHANNELS];
   real squares[QUANTITIES * CHANNELS];
+#pragma unroll
   for (int q = 0; q < QUANTITIES * CHANNELS; ++q) shift[q] = sum[q] = squares[q] = (real)0.0f;
   float count = 0.0f;
 #if WITH_NETWORK
@@ -87,20 +88,25 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     const whole valid = LANE_NUMBER + first < sample_count;
     const float block_count = (float)min((uint)VEC, sample_count - first);
     real x[QUANTITIES * CHANNELS];
+#pragma unroll
     for (uint c = 0; c < CHANNELS; ++c) x[c] = LOAD(value + c * plane + at) * seen;
 #if WITH_NETWORK
     real g[CHANNELS];
     if (skips_network) {
+#pragma unroll
       for (int c = 0; c < CHANNELS; ++c) g[c] = (real)network.b3[c];
     } else {
       network_value(&network, LOAD(u + at), LOAD(v + at), g);
     }
+#pragma unroll
     for (int c = 0; c < CHANNELS; ++c) x[CHANNELS + c] = x[c] - g[c];
 #endif
 #if WEIGHTED
     const real inverse_density = LOAD(weight + at);
+#pragma unroll
     for (int q = 0; q < QUANTITIES * CHANNELS; ++q) x[q] *= inverse_density;
 #endif
+#pragma unroll
     for (int q = 0; q < QUANTITIES * CHANNELS; ++q) {
       if (count == 0.0f)
         shift[q] = (real)(sum_lanes(SELECT((real)0.0f, x[q], valid)) / block_count);
@@ -111,6 +117,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     count += block_count;
   }
 
+#pragma unroll
   for (int q = 0; q < QUANTITIES * CHANNELS; ++q) {
     const float total = sum_lanes(sum[q]);
     const float inverse = count > 0.0f ? 1.0f / count : 0.0f;

@@ -1,0 +1,135 @@
+"""Kernels compiled for GPUs that are not here: no spills, no private arrays in memory, enough warps.
+
+``python tests/test_gpu_static.py`` writes docs/gpu_kernels.md anew.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from every_program import Built, build_everything
+from gpu.amd import Amd
+from gpu.compilers import Compiler, Row, worst_rows
+from gpu.nvidia import Nvidia
+
+from ncv_cl.opencl.choose import all_devices
+from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+
+ARCHITECTURES = ("sm_80", "sm_90", "gfx1100")
+TABLE = Path(__file__).parent.parent / "docs" / "gpu_kernels.md"
+# Every device has so many bytes of local memory; and the least part of warps that is resident.
+LOCAL_MEMORY = 48 << 10
+OCCUPANCY = 0.25
+# Kernels that take more, of (bytes spilt, bytes of stack, occupancy), and why.
+EXCEPTIONS: dict[str, tuple[int, int, float, str]] = {}
+
+pytestmark = pytest.mark.slow
+
+
+def compiler_of(architecture: str, scratch: Path) -> Compiler:
+    return Nvidia(architecture, scratch) if architecture.startswith("sm_") else Amd(architecture)
+
+
+def gpu_shape(device: Device) -> Device:
+    return open_device(device.cl_device, device.index, vector_width=1, lanes=GPU_LANES)
+
+
+@pytest.fixture(scope="module")
+def programs(one_device, tmp_path_factory) -> list[Built]:
+    return build_everything([gpu_shape(one_device)], tmp_path_factory.mktemp("programs"))
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_no_kernel_takes_more_than_a_gpu_has(programs, tmp_path, architecture):
+    compiler = compiler_of(architecture, tmp_path)
+    if compiler.missing:
+        pytest.skip(f"{architecture}: no {compiler.missing}")
+    complaints = [
+        found for row in worst_rows(compiler, programs, os.cpu_count()) if (found := beyond(row))
+    ]
+    assert not complaints, "\n".join(complaints)
+
+
+def beyond(row: Row) -> str:
+    """What of a kernel is beyond its limits, in words; nothing if none is."""
+    spilt, stack, occupancy, _ = EXCEPTIONS.get(row.kernel, (0, 0, OCCUPANCY, ""))
+    found = []
+    if row.spilt > spilt:
+        found.append(f"spills {row.spilt} bytes")
+    if row.stack > stack:
+        found.append(f"has a stack of {row.stack} bytes")
+    if row.occupancy < occupancy:
+        found.append(f"has {row.occupancy:.0%} of the warps, bound by {row.bound}")
+    if row.local > LOCAL_MEMORY:
+        found.append(f"takes {row.local} bytes of local memory")
+    return f"{row.kernel} {', '.join(found)}" if found else ""
+
+
+def test_the_lane_notices_an_array_that_is_not_in_registers(tmp_path, one_device):
+    text = """kernel void f(global float *x, const uint n) {
+        float a[64];
+        for (uint k = 0; k < 64; ++k) a[k] = x[k];
+        for (uint k = 0; k < n; ++k) a[(uint)x[k] & 63] += x[k + 1];
+        for (uint k = 0; k < 64; ++k) x[k] = a[k];
+    }"""
+    checked = 0
+    for architecture in ARCHITECTURES:
+        compiler = compiler_of(architecture, tmp_path)
+        if compiler.missing is None:
+            (row,) = compiler.rows(text, ["-cl-std=CL1.2"], {"f": 64})
+            assert "stack" in beyond(row)
+            checked += 1
+    if not checked:
+        pytest.skip("no compiler of a GPU")
+
+
+INTRODUCTION = f"""# Kernels on GPUs, by their compilers
+
+No GPU was at hand: clang and ptxas, and clang for AMD, compiled every kernel in the shape of a GPU
+(one work-item a lane, {GPU_LANES} lanes), and say what it takes. Of all programs of a kernel,
+a row shows the one that takes most. `python tests/test_gpu_static.py` writes this page, and
+`pytest tests/test_gpu_static.py` fails where a kernel spills registers, keeps a private array in
+memory, or leaves less than {OCCUPANCY:.0%} of the warps resident, but for the exceptions at the end.
+"""
+COLUMNS = ("kernel", "registers", "spilt B", "stack B", "local B", "group", "occupancy", "bound by")
+
+
+def table(rows: dict[str, list[Row]]) -> str:
+    """docs/gpu_kernels.md."""
+    lines = [INTRODUCTION]
+    for architecture, own in rows.items():
+        lines += [f"## {architecture}", "", line_of(COLUMNS), line_of(["---"] * len(COLUMNS))]
+        for row in own:
+            numbers = (row.registers, row.spilt, row.stack, row.local, row.group)
+            lines.append(line_of((f"`{row.kernel}`", *numbers, f"{row.occupancy:.0%}", row.bound)))
+        lines.append("")
+    lines += ["## Exceptions", ""]
+    lines += [f"- `{name}`: {why}" for name, (*_, why) in sorted(EXCEPTIONS.items())]
+    return "\n".join(lines) + "\n"
+
+
+def line_of(cells: Sequence[object]) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def main() -> int:
+    one = next(device for device in all_devices() if device.is_cpu)
+    with tempfile.TemporaryDirectory() as folder:
+        programs = build_everything([gpu_shape(one)], Path(folder))
+        compilers = [compiler_of(name, Path(folder)) for name in ARCHITECTURES]
+        missing = [f"{one.arch}: no {one.missing}" for one in compilers if one.missing]
+        if missing:
+            print("\n".join(missing), file=sys.stderr)
+            return 1
+        found = {one.arch: worst_rows(one, programs, os.cpu_count()) for one in compilers}
+    TABLE.write_text(table(found), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
