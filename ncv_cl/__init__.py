@@ -14,8 +14,10 @@ from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
 from .output.image import Image
+from .points.arrays import PointError
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
+from .rendering.sense import PointValues, ambient_occlusion, irradiance, radiance
 from .rendering.split import render_split
 from .scene.build import build_scene
 from .scene.load import load_scene
@@ -40,6 +42,8 @@ __all__ = [
     "Material",
     "Network",
     "NetworkError",
+    "PointError",
+    "PointValues",
     "QuadLight",
     "Sampling",
     "Scene",
@@ -48,13 +52,16 @@ __all__ = [
     "Subdivision",
     "Training",
     "TriangleMesh",
+    "ambient_occlusion",
     "build_scene",
     "choose_device",
     "devices",
     "draw_subdivision",
     "estimate",
     "integrate",
+    "irradiance",
     "load_scene",
+    "radiance",
     "render",
     "render_split",
     "subdivide",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..host.clock import Stopwatch
 from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
+from ..points.arrays import PointArrays, place_points
 from ..points.points import ShadingPoints, find_points
 from ..points.trace import Tracer
 from ..sampling.paths import sample_source
@@ -17,6 +20,9 @@ from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import Slices
 from ..visibility.tuning import MOST_LIGHTS
 
+# Points that are farther out of a scene's bounds than this part of its extent widen them.
+OUTSIDE = 2.0**-10
+
 
 def prepare(
     device: Device,
@@ -24,11 +30,14 @@ def prepare(
     settings: Settings,
     threads: int | None,
     watch: Stopwatch,
+    given: PointArrays | None = None,
 ) -> Problem:
-    """Trace the camera's rays, and set up the sampling of the points that they hit.
+    """Find shading points, and set up their sampling.
 
     Parameters
     ----------
+    given : PointArrays, optional
+        The points; by default they are what the camera's rays hit.
     threads : int, optional
         Of the host, for tracing; all cores by default.
     watch : Stopwatch
@@ -45,14 +54,7 @@ def prepare(
     with watch("scene"):
         tracer = Tracer(scene, threads)
     with watch("points"):
-        points = find_points(
-            device,
-            scene,
-            tracer,
-            *settings.size,
-            settings.sampling.supersample,
-            integrand.emitters_active,
-        )
+        points = _points(device, scene, tracer, settings, given)
         points = _without_dark(scene, settings, points)
     occluders, lines = None, False
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
@@ -84,11 +86,34 @@ def prepare(
         device,
         points,
         source,
-        scene.world_bounds,
+        _bounds(scene, given),
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
     )
+
+
+def _points(
+    device: Device, scene: Scene, tracer: Tracer, settings: Settings, given: PointArrays | None
+) -> ShadingPoints:
+    emitters_active = settings.integrand.emitters_active
+    if given is not None:
+        return place_points(device, scene, tracer, given, emitters_active)
+    size, supersample = settings.size, settings.sampling.supersample
+    return find_points(device, scene, tracer, *size, supersample, emitters_active)
+
+
+def _bounds(scene: Scene, given: PointArrays | None) -> np.ndarray:
+    """Bounds in the world, float64 (2, 3), of the scene and of points that lie outside of it."""
+    bounds = scene.world_bounds
+    if given is None:
+        return bounds
+    positions = given.positions.astype(np.float64) + scene.origin
+    least, most = positions.min(axis=0), positions.max(axis=0)
+    # Points of the surface may be rounded out of it.
+    slack = OUTSIDE * np.ptp(bounds, axis=0).max()
+    lower = np.where(least < bounds[0] - slack, least, bounds[0])
+    return np.stack([lower, np.where(most > bounds[1] + slack, most, bounds[1])])
 
 
 def _occluders(
