@@ -32,6 +32,7 @@ FOLDERS = [
     "estimation",
     "output",
     "rendering",
+    "commands",
 ]
 MOST_FILES, MOST_LINES = 12, 400
 # A floating-point literal without an f.
