@@ -16,8 +16,9 @@ from .opencl.program import KernelText
 from .output.image import Image
 from .points.arrays import PointError
 from .rendering.estimate import Integrals, estimate
+from .rendering.point_estimate import PointValues
 from .rendering.render import render
-from .rendering.sense import PointValues, ambient_occlusion, irradiance, radiance
+from .rendering.sense import ambient_occlusion, irradiance, radiance
 from .rendering.split import render_split
 from .scene.build import build_scene
 from .scene.load import load_scene

@@ -120,7 +120,8 @@ def write_values(path: str | Path, points: np.ndarray, values: np.ndarray, error
     errors = tuple(f"{name}_error" for name in channels) if values.ndim == 2 else ("error",)
     names = (*COLUMNS, *channels, *errors)
     count = len(points)
-    table = np.concatenate([points, values.reshape(count, -1), error.reshape(count, -1)], axis=1)
+    columns = (one.reshape(count, len(channels)) for one in (values, error))
+    table = np.concatenate([points, *columns], axis=1)
     suffix = Path(path).suffix.lower()
     if suffix == ".npy":
         write_whole(path, lambda file: np.save(file, table))

@@ -64,6 +64,14 @@ class PointError(ValueError):
     """Points cannot be used as they are; the message names array and index."""
 
 
+class OffSurfaceError(PointError):
+    """Points of the surface that lie on none; `where` are their rows, int64."""
+
+    def __init__(self, where: np.ndarray) -> None:
+        super().__init__("points lie on no surface")
+        self.where = where
+
+
 def checked_vectors(name: str, values: object, shape: tuple[int, ...] | None = None) -> np.ndarray:
     """Finite vectors, float64 (n, 3) or (rows, columns, 3).
 
@@ -212,19 +220,13 @@ def place_points(
 
     Raises
     ------
-    PointError
-        If points of the surface lie on none.
+    OffSurfaceError
     """
     count = len(given.positions)
     on_triangle, positions = surfaces_at(scene, tracer, given.positions, given.normals)
     is_on = on_triangle >= 0
     if not given.is_sensor and not is_on.all():
-        place = (given.positions[~is_on][0] + scene.origin).tolist()
-        raise PointError(
-            f"{np.count_nonzero(~is_on)} of {count} points lie on no surface of {scene.name}, or have a "
-            f"normal along it: one is {place}; radiance is that of a surface, so give points of one, or "
-            "ask for irradiance"
-        )
+        raise OffSurfaceError(np.flatnonzero(~is_on))
     light = np.where(is_on, scene.triangle_light[on_triangle], -1).astype(np.int32)
     every = emitters_active or given.is_sensor
     order = np.arange(count) if every else np.argsort(light >= 0, kind="stable")
