@@ -20,6 +20,7 @@ from .rendering.point_estimate import PointValues
 from .rendering.render import render
 from .rendering.sense import ambient_occlusion, irradiance, radiance
 from .rendering.split import render_split
+from .rendering.view_factors import ViewFactors, view_factors
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
@@ -53,6 +54,7 @@ __all__ = [
     "Subdivision",
     "Training",
     "TriangleMesh",
+    "ViewFactors",
     "ambient_occlusion",
     "build_scene",
     "choose_device",
@@ -66,4 +68,5 @@ __all__ = [
     "render",
     "render_split",
     "subdivide",
+    "view_factors",
 ]

@@ -254,6 +254,17 @@ def test_sensors_on_lights_inside_things_and_at_surfaces_are_counted(one_device)
     assert not found.values[[2, 3, 5]].any()
 
 
+def test_a_sensor_in_a_lamps_plane_gets_the_other_lamps_light(device):
+    """Along lines of a lamp in whose plane the sensor lies no light comes, and nothing is undefined."""
+    up = light_at((-0.5, 0.5, -0.5), (0, 0, 1), (1, 0, 0), 2.0)
+    scene = lamp_scene(LAMP, up)
+    at = np.array([[x, 2, z] for x in (-2, 0, 0.3, 2) for z in (-0.5, 0, 0.5, 2.0)])
+    down = np.broadcast_to([[0.0, -1, 0]], at.shape)
+    found = ncv.irradiance(scene, at, down, spp=64, visibility="lines", device=device)
+    exact = lambert([up], at, down)
+    assert (np.abs(found.values - exact) <= 5 * found.standard_error + 1e-5).all() and exact.all()
+
+
 def _corners(mesh: np.ndarray):
     vertices = np.asarray(mesh, float).reshape(-1, 3)
     return vertices, np.arange(len(vertices)).reshape(-1, 3)

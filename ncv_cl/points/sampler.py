@@ -38,6 +38,10 @@ class Stream(enum.IntEnum):
     WARM_UP = 8
     # The constant that is subtracted from a callable.
     OFFSET = 9
+    # Points on surfaces, from which view factors are measured.
+    PATCHES = 10
+    # Directions from there.
+    PATCH_RAYS = 11
 
 
 class HostStream(enum.IntEnum):
@@ -48,6 +52,8 @@ class HostStream(enum.IntEnum):
     TRAINING_POINTS = 2
     POINTS_DONE_TWICE = 3
     DENSITY = 4
+    # The order of directions from points on surfaces.
+    PATCH_RAYS = 5
 
 
 def host_generator(seed: int, stream: HostStream) -> np.random.Generator:
