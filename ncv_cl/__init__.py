@@ -15,6 +15,7 @@ from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
 from .output.image import Image
 from .points.arrays import PointError
+from .rendering.bake import bake
 from .rendering.estimate import Integrals, estimate
 from .rendering.point_estimate import PointValues
 from .rendering.render import render
@@ -25,10 +26,12 @@ from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
+from .scene.uv_mesh import BakeError, UVMesh
 from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
     "AmbientOcclusion",
+    "BakeError",
     "Camera",
     "Device",
     "DeviceError",
@@ -54,8 +57,10 @@ __all__ = [
     "Subdivision",
     "Training",
     "TriangleMesh",
+    "UVMesh",
     "ViewFactors",
     "ambient_occlusion",
+    "bake",
     "build_scene",
     "choose_device",
     "devices",

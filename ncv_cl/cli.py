@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .commands.bake import add_bake
 from .commands.common import Help, add_common, write_json
 from .commands.points import add_sense
 from .host.console import EXPECTED, complain, one_line, run, say, summary
@@ -51,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
     add_sense(commands)
+    add_bake(commands)
     _add_subdivide(commands)
     _add_integrate(commands)
     listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they are")

@@ -9,14 +9,12 @@ from ..host.files import check_paths
 from ..host.interrupt import StopOnSignal
 from ..integrands import AmbientOcclusion
 from ..output.point_files import check_suffix, read_points, write_values
+from ..rendering.point_estimate import POINT_GROUPS
 from ..rendering.sense import ambient_occlusion, irradiance
 from ..scene.load import load_scene
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
 from .common import Help, add_common, write_json
-
-# Groups of options that points have as well; the others are for pictures.
-_POINT_GROUPS = ("sampling", "training", "stopping", "machine")
 
 
 def add_sense(commands: argparse._SubParsersAction) -> None:
@@ -37,7 +35,7 @@ def add_sense(commands: argparse._SubParsersAction) -> None:
     add("-o", "--output", required=True, metavar="FILE", help=".csv, .npy or .ply")
     add("--target-error", type=float, metavar="E", help="end at this root mean square standard error")
     add_common(parser)
-    for name in _POINT_GROUPS:
+    for name in POINT_GROUPS:
         add_arguments(parser, GROUPS[name])
     parser.set_defaults(command=_sense)
 
@@ -58,7 +56,7 @@ def _sense(options: argparse.Namespace) -> int:
         if options.integrand != AmbientOcclusion.name:
             raise ValueError("--radius is for --integrand ao only")
         own["radius"] = options.radius
-    chosen = [read_arguments(options, GROUPS[name]) for name in _POINT_GROUPS]
+    chosen = [read_arguments(options, GROUPS[name]) for name in POINT_GROUPS]
     names = ("method", "spp", "seed", "device", "target_error")
     with StopOnSignal() as stop:
         found = (ambient_occlusion if options.integrand == AmbientOcclusion.name else irradiance)(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,6 +32,8 @@ from .prepare import prepare
 # Errors are told from points that are estimated twice. So fewer points than these are each estimated
 # several times over, by independent samples, until there are as many estimates.
 FEWEST_ESTIMATES = 256
+# Groups of options that points have; the others are for pictures.
+POINT_GROUPS = ("sampling", "training", "stopping", "machine")
 
 
 @dataclass(frozen=True)
@@ -84,53 +87,79 @@ class Asked:
         return (first // self.sides, *rest)
 
 
-def estimate_at(scene: Scene | str | Path, asked: Asked, options: dict[str, object]) -> PointValues:
-    """The values that are asked for."""
+def estimate_at(scene: Scene | str | Path, asked: Asked, options: Mapping[str, object]) -> PointValues:
+    """The values that are asked for; options as `estimate_points` takes them."""
+    started = time.perf_counter()
+    if not isinstance(scene, Scene):
+        scene = load_scene(scene)
+    given, number, copies = _arrays(scene, asked)
+    weight = asked.factor**2 * asked.sides / copies
+    try:
+        values, variance, stats = estimate_points(scene, asked.integrand, given, options, weight)
+    except OffSurfaceError as error:
+        raise _off_surface(scene, asked, np.isin(number, error.where // copies)) from error
+    channels = values.shape[1]
+    values, variance = (
+        one.reshape(-1, copies, channels).mean(axis=1) for one in (values, variance / copies)
+    )
+    zero = int(np.count_nonzero((values == 0).all(axis=1)))
+    shape = (asked.sides, *asked.shape, channels)
+    values = asked.factor * values[number].reshape(shape).sum(axis=0)
+    variance = asked.factor**2 * variance[number].reshape(shape).sum(axis=0)
+    counts = {name: stats[name] // copies for name in stats if name.startswith("points_")}
+    stats |= counts | {
+        "points": len(number) // asked.sides,
+        "points_zero": zero,
+        "equal_points": len(number) - len(given.positions) // copies,
+        "estimates_a_point": copies,
+    }
+    if values.size:
+        stats["mean_standard_error"] = float(np.sqrt(variance).mean())
+        stats["largest_standard_error"] = float(np.sqrt(variance).max())
+        stats["seconds"]["total"] = time.perf_counter() - started
+    return PointValues(values, variance, finite(stats))
+
+
+def estimate_points(
+    scene: Scene,
+    integrand: Integrand,
+    given: PointArrays,
+    options: Mapping[str, object],
+    weight: float,
+) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
+    """Estimates at points, their variances, float64 (points, channels), and statistics.
+
+    Parameters
+    ----------
+    options : mapping
+        `method`, `spp`, `seed`, `device`, `progress`, `target_error`, the groups of options that points
+        have, and single options of these, as `irradiance` takes them.
+    weight : float
+        Mean square error of what is made of the estimates, over that of the estimates.
+    """
     started = time.perf_counter()
     options = dict(options)
     method, spp, seed = (options.pop(k, v) for k, v in (("method", "auto"), ("spp", 256), ("seed", 0)))
     wanted, progress = options.pop("target_error", None), bool(options.pop("progress", False))
     device = options.pop("device", None)
-    kinds = ("sampling", "training", "stopping", "machine")
-    groups = gathered({kind: options.pop(kind, None) for kind in kinds}, options)
+    groups = gathered({kind: options.pop(kind, None) for kind in POINT_GROUPS}, options)
     machine = groups.pop("machine")
-    if not isinstance(scene, Scene):
-        scene = load_scene(scene)
-    given, number, copies = _arrays(scene, asked)
-    settings = Settings(asked.integrand, method, spp, given.size, seed, **groups)
-    cells = settings.columns * settings.rows
-    share = len(given.positions) / cells * copies / asked.sides / asked.factor**2
-    settings = _with_target(settings, wanted, share)
-    settings.integrand.check(scene)
+    settings = Settings(integrand, method, spp, given.size, seed, **groups)
+    share = len(given.positions) / (settings.columns * settings.rows)
+    settings = _with_target(settings, wanted, share / weight)
+    integrand.check(scene)
     device = choose_device(device)
-    if not len(number):
-        empty = np.zeros((*asked.shape, asked.integrand.channels))
-        return PointValues(empty, empty.copy(), {"points": 0, "device": device.identity})
+    if not len(given.positions):
+        empty = np.zeros((0, integrand.channels))
+        return empty, empty.copy(), {"device": device.identity}
     clock = Clock(settings.stopping.time_limit, started)
     run = Run(clock=clock, stop=settings.stopping.stop or never, progress=progress)
-    try:
-        problem = prepare(device, scene, settings, machine.threads, run.watch, given)
-    except OffSurfaceError as error:
-        raise _off_surface(scene, asked, np.isin(number, error.where // copies)) from error
+    problem = prepare(device, scene, settings, machine.threads, run.watch, given)
     outcome = estimate_integrals(problem, settings, run, Keep())
     values, variance = _values(scene, settings, problem, outcome, given.cells)
-    values, variance = (
-        one.reshape(-1, copies, one.shape[1]).mean(axis=1) for one in (values, variance / copies)
-    )
-    stats = _stats(settings, problem, outcome, run, values, copies)
-    shape = (asked.sides, *asked.shape, -1)
-    values = asked.factor * values[number].reshape(shape).sum(axis=0)
-    variance = asked.factor**2 * variance[number].reshape(shape).sum(axis=0)
-    stats |= {
-        "points": len(number) // asked.sides,
-        "points_sampled": problem.points.active // copies,
-        "equal_points": len(number) - len(given.positions) // copies,
-        "estimates_a_point": copies,
-    }
-    stats["mean_standard_error"] = float(np.sqrt(variance).mean())
-    stats["largest_standard_error"] = float(np.sqrt(variance).max())
+    stats = _stats(settings, problem, outcome, run)
     stats["seconds"]["total"] = time.perf_counter() - started
-    return PointValues(values, variance, finite(stats))
+    return values, variance, stats
 
 
 def _arrays(scene: Scene, asked: Asked) -> tuple[PointArrays, np.ndarray, int]:
@@ -203,14 +232,7 @@ def _values(
     return mean, variance
 
 
-def _stats(
-    settings: Settings,
-    problem: Problem,
-    outcome: Outcome,
-    run: Run,
-    values: np.ndarray,
-    copies: int,
-) -> dict[str, object]:
+def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> dict[str, object]:
     """Counts as of a render, and what is particular to points."""
     points, rays, drawn = problem.points, problem.source.rays, outcome.drawn
     found = statistics(
@@ -230,8 +252,8 @@ def _stats(
         found["auto"] = outcome.plan.as_dict()
     return found | {
         "ended_by": drawn.ended_by,
-        "points_detached": int(np.count_nonzero(points.rows("detached")[0])) // copies,
-        "points_on_lights": int(np.count_nonzero(points.light >= 0)) // copies,
-        "points_without_light": points.dark // copies,
-        "points_zero": int(np.count_nonzero((values == 0).all(axis=1))),
+        "points_sampled": found["points"],
+        "points_detached": int(np.count_nonzero(points.rows("detached")[0])),
+        "points_on_lights": int(np.count_nonzero(points.light >= 0)),
+        "points_without_light": points.dark,
     }
