@@ -1,1 +1,1 @@
-"""Commands of `ncv-cl` with their arguments, beside `render` and what is about networks."""
+"""Commands of ncv-cl that have a file of their own."""
