@@ -282,6 +282,18 @@ def test_radiance_has_what_lights_and_surfaces_emit(one_device):
     assert np.allclose(lit - lambert([LAMP], [[0, 0, 0]], UP) * 0.5 / np.pi, [0.25, 0.5, 1], atol=1e-3)
 
 
+def test_far_away_rays_are_traced(one_device):
+    """A blind before the lamp, from 300 times the scene's size: half of it is seen."""
+    scene = lamp_scene(meshes=(quad((-2, 1.9, -2), (0, 0, 4), (2, 0, 0)),))
+    at = np.array([[0.0, -300, 30 * k] for k in range(-5, 6)])
+    found = ncv.irradiance(scene, at, -at, spp=256, device=one_device)
+    half = light_at((0, 2, -0.5), (0.5, 0, 0), (0, 0, 1), 3.0)
+    exact = lambert([half], at, -at)
+    assert found.stats["rays_traced"] and np.allclose(found.values, exact, rtol=2e-2)
+    with pytest.raises(ValueError, match="no farther away than 16 times"):
+        ncv.irradiance(scene, at, -at, visibility="lines", device=one_device)
+
+
 def test_a_target_ends_it(one_device):
     scene = lamp_scene(meshes=(FLOOR, quad((-0.3, 1, -0.3), (0, 0, 0.6), (0.6, 0, 0))))
     at, normals = sensors(400)

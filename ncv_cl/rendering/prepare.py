@@ -22,6 +22,9 @@ from ..visibility.tuning import MOST_LIGHTS
 
 # Points that are farther out of a scene's bounds than this part of its extent widen them.
 OUTSIDE = 2.0**-10
+# Where a point's coordinates are larger than the scene's by this factor, shadows are left to embree: at
+# 20 times they are right, at 200 some percent are not.
+FAR = 16.0
 
 
 def prepare(
@@ -51,13 +54,19 @@ def prepare(
             f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
             f"{len(scene.lights)}; take 'auto'"
         )
+    is_near = _is_near(scene, given)
+    if settings.sampling.visibility == "lines" and not is_near:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for points that are no farther away than {FAR:g} "
+            "times the scene's extent; take 'auto'"
+        )
     with watch("scene"):
         tracer = Tracer(scene, threads)
     with watch("points"):
         points = _points(device, scene, tracer, settings, given)
         points = _without_dark(scene, settings, points)
     occluders, lines = None, False
-    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene) and is_near
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
@@ -101,6 +110,13 @@ def _points(
         return place_points(device, scene, tracer, given, emitters_active)
     size, supersample = settings.size, settings.sampling.supersample
     return find_points(device, scene, tracer, *size, supersample, emitters_active)
+
+
+def _is_near(scene: Scene, given: PointArrays | None) -> bool:
+    """Whether occluders, whose corners are taken from each point, are resolved there."""
+    if given is None or not len(given.positions):
+        return True
+    return float(np.abs(given.positions).max()) <= FAR * float(np.abs(scene.bounds).max())
 
 
 def _bounds(scene: Scene, given: PointArrays | None) -> np.ndarray:
