@@ -14,19 +14,21 @@ from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
 from .output.image import Image
+from .output.vertex_colours import write_vertex_colours
 from .points.arrays import PointError
-from .rendering.bake import bake
 from .rendering.estimate import Integrals, estimate
-from .rendering.point_estimate import PointValues
 from .rendering.render import render
-from .rendering.sense import ambient_occlusion, irradiance, radiance
 from .rendering.split import render_split
-from .rendering.view_factors import ViewFactors, view_factors
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
 from .scene.uv_mesh import BakeError, UVMesh
+from .sensing.bake import bake
+from .sensing.bake_vertices import bake_vertices
+from .sensing.point_estimate import PointValues
+from .sensing.sense import ambient_occlusion, irradiance, radiance
+from .sensing.view_factors import ViewFactors, view_factors
 from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
@@ -61,6 +63,7 @@ __all__ = [
     "ViewFactors",
     "ambient_occlusion",
     "bake",
+    "bake_vertices",
     "build_scene",
     "choose_device",
     "devices",
@@ -74,4 +77,5 @@ __all__ = [
     "render_split",
     "subdivide",
     "view_factors",
+    "write_vertex_colours",
 ]

@@ -32,6 +32,7 @@ FOLDERS = [
     "estimation",
     "output",
     "rendering",
+    "sensing",
     "commands",
 ]
 MOST_FILES, MOST_LINES = 12, 400

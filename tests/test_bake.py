@@ -13,7 +13,7 @@ from ncv_cl import BakeError, UVMesh
 from ncv_cl.cli import main
 from ncv_cl.points.texels import find_texels
 from ncv_cl.points.trace import Tracer
-from ncv_cl.rendering.bake import _dilated
+from ncv_cl.sensing.bake import _dilated
 
 CAMERA = ncv.Camera((1, 0.5, 1), (3, 0.5, 1), 60)
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -270,3 +270,45 @@ def test_a_thousand_rays_find_what_is_inside():
     # Above the floor's level, whose upper side is its front.
     above = at[:, 1] > 0.01
     assert np.array_equal(found[above], distance[above] < 0.95)
+
+
+def test_vertices_have_the_occlusion_of_their_corners(one_device, tmp_path):
+    """Of a floor before an endless wall: at the wall a half, and the closed form at the far side."""
+    wall = corners((0, 0, -400), (0, 4, 0), (0, 0, 800))
+    x, z = np.meshgrid(np.linspace(0, 4, 9), np.linspace(0, 2, 5))
+    first = (np.arange(4)[:, None] * 9 + np.arange(8)).ravel()
+    # Counter-clockwise as seen from above.
+    triangles = np.concatenate([np.stack([first, first + 9, first + 10], axis=1),
+                                np.stack([first, first + 10, first + 1], axis=1)])  # fmt: skip
+    floor = ncv.TriangleMesh(np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1), triangles, "grey")
+    scene = scene_of((floor.vertices, floor.triangles), (wall, HALVES))
+    found = ncv.bake_vertices(scene, floor, spp=256, visibility="lines", device=one_device)
+    exact = (1 + x.ravel() / np.hypot(x.ravel(), 4)) / 2
+    assert found.values.shape == found.variance.shape == (45, 1)
+    assert np.abs(found.values[:, 0] - exact).max() < 4e-3
+    assert found.stats["vertices_inside"] == 0 and found.stats["corners_detached"] == 0
+    for suffix in ("ply", "glb"):
+        file = tmp_path / f"floor.{suffix}"
+        ncv.write_vertex_colours(file, floor, found.values)
+        read = trimesh.load(file, process=False, force="mesh")
+        colours = read.visual.vertex_colors[:, 0] / 255
+        linear = ((colours + 0.055) / 1.055) ** 2.4 if suffix == "ply" else colours
+        assert np.allclose(linear, found.values[:, 0].clip(0, 1), atol=0.01)
+    with pytest.raises(ValueError, match="must end in"):
+        ncv.write_vertex_colours(tmp_path / "floor.obj", floor, found.values)
+    with pytest.raises(ValueError, match="values must be"):
+        ncv.write_vertex_colours(tmp_path / "floor.ply", floor, found.values[:3])
+
+
+def test_vertices_in_the_dark_room_are_black(one_device):
+    room = two_rooms(2.0, 0.5)
+    light = ncv.bake_vertices(room, FLOOR, integrand="gi", spp=64, method="mc", device=one_device)
+    assert (light.values[FLOOR.vertices[:, 0] == 0] > 0).all()
+    assert not light.values[FLOOR.vertices[:, 0] == 4].any()
+    under = UVMesh(corners((2.1, 0, 0.2), (0, 0, 1), (0.3, 0, 0)), HALVES, WHOLE)
+    with pytest.raises(BakeError, match="backs of triangles"):
+        ncv.bake_vertices(room, under, spp=2, device=one_device)
+    aside = UVMesh(FLOOR.vertices + np.array([0, 0, 1]), HALVES, WHOLE)
+    with pytest.warns(UserWarning, match=r"of \d+ places of the mesh lie on no surface"):
+        image = ncv.bake(room, aside, 8, spp=2, device=one_device)
+    assert image.stats["places_detached"] > 0

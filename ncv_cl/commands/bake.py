@@ -9,10 +9,10 @@ from ..host.files import check_paths
 from ..host.interrupt import StopOnSignal
 from ..integrands import AmbientOcclusion
 from ..output.image import check_output_path
-from ..rendering.bake import bake
-from ..rendering.point_estimate import POINT_GROUPS
 from ..scene.load import load_scene
 from ..scene.uv_mesh import read_uv_mesh
+from ..sensing.bake import bake
+from ..sensing.point_estimate import POINT_GROUPS
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
 from .common import Help, add_common, write_json

@@ -9,9 +9,9 @@ from ..host.files import check_paths
 from ..host.interrupt import StopOnSignal
 from ..integrands import AmbientOcclusion
 from ..output.point_files import check_suffix, read_points, write_values
-from ..rendering.point_estimate import POINT_GROUPS
-from ..rendering.sense import ambient_occlusion, irradiance
 from ..scene.load import load_scene
+from ..sensing.point_estimate import POINT_GROUPS
+from ..sensing.sense import ambient_occlusion, irradiance
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
 from .common import Help, add_common, write_json

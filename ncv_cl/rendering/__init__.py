@@ -1,1 +1,1 @@
-"""The stages in order: scene to image, points and functions of the user to integrals."""
+"""The stages in order: scene to image, and functions of the user to integrals."""

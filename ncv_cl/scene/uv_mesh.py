@@ -53,17 +53,14 @@ def read_uv_mesh(path: str | Path) -> UVMesh:
     return UVMesh(np.array(found.vertices), np.array(found.faces), np.array(uv))
 
 
-def checked_mesh(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-    """Vertices, triangles, UVs and normals of a `UVMesh` or of what has its attributes.
+def checked_triangles(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Vertices, triangles and normals, if there are some, of a mesh.
 
     Raises
     ------
     BakeError
     """
-    if getattr(mesh, "uv", None) is None:
-        raise BakeError("the mesh has no uv: give a UVMesh, with a place on the map for each vertex")
     vertices = _numbers("vertices", mesh.vertices, 3)
-    uv = _numbers("uv", mesh.uv, 2, len(vertices))
     triangles = np.asarray(mesh.triangles)
     if triangles.dtype.kind not in "iu" or triangles.ndim != 2 or triangles.shape[1] != 3:
         shape = f"{triangles.dtype} {triangles.shape}"
@@ -74,7 +71,20 @@ def checked_mesh(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     normals = getattr(mesh, "normals", None)
     if normals is not None:
         normals = _numbers("normals", normals, 3, len(vertices))
-    return vertices, triangles.astype(np.int64), uv, normals
+    return vertices, triangles.astype(np.int64), normals
+
+
+def checked_mesh(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Vertices, triangles, UVs and normals of a `UVMesh` or of what has its attributes.
+
+    Raises
+    ------
+    BakeError
+    """
+    if getattr(mesh, "uv", None) is None:
+        raise BakeError("the mesh has no uv: give a UVMesh, with a place on the map for each vertex")
+    vertices, triangles, normals = checked_triangles(mesh)
+    return vertices, triangles, _numbers("uv", mesh.uv, 2, len(vertices)), normals
 
 
 def _numbers(name: str, values: object, width: int, rows: int | None = None) -> np.ndarray:

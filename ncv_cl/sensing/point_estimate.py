@@ -22,12 +22,12 @@ from ..points.arrays import (
     curve_cells,
     ordered,
 )
+from ..rendering.pipeline import Outcome, estimate_integrals
+from ..rendering.prepare import prepare
 from ..sampling.problem import Problem
 from ..scene.load import Scene, load_scene
 from ..settings.options import check_real, gathered
 from ..settings.settings import Settings
-from .pipeline import Outcome, estimate_integrals
-from .prepare import prepare
 
 # Errors are told from points that are estimated twice. So fewer points than these are each estimated
 # several times over, by independent samples, until there are as many estimates.

@@ -12,9 +12,9 @@ from ..points.arrays import (
     checked_vectors,
     unit_vectors,
 )
+from ..rendering.render import integrand_of
 from ..scene.load import Scene
 from .point_estimate import Asked, PointValues, estimate_at
-from .render import integrand_of
 
 
 def irradiance(

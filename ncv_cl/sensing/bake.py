@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,13 @@ from ..points.arrays import PointArrays, surfaces_at
 from ..points.hidden import apart, inside
 from ..points.texels import Texels, find_texels
 from ..points.trace import Tracer
+from ..rendering.render import integrand_of
 from ..scene.load import Scene, load_scene
 from ..scene.uv_mesh import BakeError
 from ..settings.options import MOST_CELLS, checked_whole
 from .point_estimate import estimate_points
-from .render import integrand_of
 
+ALL_BACKS = "all points of the mesh see the backs of triangles only: turn its triangles' corners round"
 # Texels around each, by their places in a map with one more row and column on every side.
 _AROUND = [(row, column) for row in range(3) for column in range(3) if (row, column) != (1, 1)]
 
@@ -135,35 +137,44 @@ def _kept(
     texel = row // samples * size[0] + column // samples
     half = (samples - 1) / 2
     from_middle = np.hypot(column % samples - half, row % samples - half)
+    positions = found.positions - scene.origin
     tracer = Tracer(scene)
-    positions = (found.positions - scene.origin).astype(np.float32)
-    on_triangle, _ = surfaces_at(scene, tracer, positions, found.normals.astype(np.float32))
-    if not (on_triangle >= 0).any():
-        raise BakeError(
-            f"the mesh lies on no surface of {scene.name}: its vertices must be those of the scene, in "
-            "the world"
-        )
-    hidden = inside(scene, tracer, found.positions - scene.origin, found.normals)
-    open_ = np.flatnonzero(~hidden)
+    detached = check_on_scene(scene, tracer, positions, found.normals)
+    hidden = inside(scene, tracer, positions, found.normals)
+    left = np.flatnonzero(~hidden)
     behind = np.zeros(len(texel), bool)
-    behind[open_] = apart(
-        scene, tracer, (found.positions - scene.origin)[open_], found.normals[open_], texel[open_],
-        from_middle[open_],
-    )  # fmt: skip
+    behind[left] = apart(
+        scene, tracer, positions[left], found.normals[left], texel[left], from_middle[left]
+    )
     is_kept = ~(hidden | behind)
     if not is_kept.any():
-        raise BakeError(
-            "all points of the mesh see the backs of triangles only: turn its triangles' corners round"
-        )
+        raise BakeError(ALL_BACKS)
     counts = found.counts | {
         "places": len(texel),
-        "places_detached": int((on_triangle < 0).sum()),
+        "places_detached": detached,
         "places_inside": int(hidden.sum()),
         "places_apart": int(behind.sum()),
         "texels_clamped": int(found.clamped.sum()),
         "texels_inside": len(np.unique(texel)) - len(np.unique(texel[is_kept])),
     }
     return texel, is_kept, counts
+
+
+def check_on_scene(scene: Scene, tracer: Tracer, positions: np.ndarray, normals: np.ndarray) -> int:
+    """How many places, in the scene's frame, lie on no surface; raises if all do, and else warns."""
+    on_triangle, _ = surfaces_at(scene, tracer, positions.astype(np.float32), normals.astype(np.float32))
+    detached = int((on_triangle < 0).sum())
+    if detached == len(positions):
+        raise BakeError(
+            f"the mesh lies on no surface of {scene.name}: its vertices must be those of the scene, in "
+            "the world"
+        )
+    if detached:
+        warnings.warn(
+            f"{detached} of {len(positions)} places of the mesh lie on no surface of {scene.name}",
+            stacklevel=4,
+        )
+    return detached
 
 
 def _estimates(
