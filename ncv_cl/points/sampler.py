@@ -39,9 +39,9 @@ class Stream(enum.IntEnum):
     # The constant that is subtracted from a callable.
     OFFSET = 9
     # Points on surfaces, from which view factors are measured.
-    PATCHES = 10
+    PATCHES = 14
     # Directions from there.
-    PATCH_RAYS = 11
+    PATCH_RAYS = 15
 
 
 class HostStream(enum.IntEnum):
@@ -53,7 +53,7 @@ class HostStream(enum.IntEnum):
     POINTS_DONE_TWICE = 3
     DENSITY = 4
     # The order of directions from points on surfaces.
-    PATCH_RAYS = 5
+    PATCH_RAYS = 8
 
 
 def host_generator(seed: int, stream: HostStream) -> np.random.Generator:
