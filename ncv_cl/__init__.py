@@ -14,16 +14,25 @@ from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
 from .output.image import Image
+from .output.vertex_colours import write_vertex_colours
+from .points.arrays import PointError
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
+from .scene.uv_mesh import BakeError, UVMesh
+from .sensing.bake import bake
+from .sensing.bake_vertices import bake_vertices
+from .sensing.point_estimate import PointValues
+from .sensing.sense import ambient_occlusion, irradiance, radiance
+from .sensing.view_factors import ViewFactors, view_factors
 from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
     "AmbientOcclusion",
+    "BakeError",
     "Camera",
     "Device",
     "DeviceError",
@@ -39,6 +48,8 @@ __all__ = [
     "Material",
     "Network",
     "NetworkError",
+    "PointError",
+    "PointValues",
     "QuadLight",
     "Sampling",
     "Scene",
@@ -47,13 +58,22 @@ __all__ = [
     "Subdivision",
     "Training",
     "TriangleMesh",
+    "UVMesh",
+    "ViewFactors",
+    "ambient_occlusion",
+    "bake",
+    "bake_vertices",
     "build_scene",
     "choose_device",
     "devices",
     "draw_subdivision",
     "estimate",
     "integrate",
+    "irradiance",
     "load_scene",
+    "radiance",
     "render",
     "subdivide",
+    "view_factors",
+    "write_vertex_colours",
 ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
-import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -13,6 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from .commands.bake import add_bake
+from .commands.common import Help, add_common, write_json
+from .commands.points import add_sense
 from .host.console import EXPECTED, complain, one_line, run, say, summary
 from .host.files import check_paths, read_arrays, write_whole
 from .host.interrupt import StopOnSignal
@@ -30,7 +32,6 @@ from .rendering.render import render
 from .scene.load import load_scene
 from .settings.arguments import add_arguments, read_arguments
 from .settings.options import GROUPS
-from .settings.settings import METHODS
 
 # Beside the package in a checkout and in an editable install.
 _BENCH = Path(__file__).parent.parent / "bench"
@@ -49,6 +50,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ncv_cl {package_version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
+    add_sense(commands)
+    add_bake(commands)
     _add_subdivide(commands)
     _add_integrate(commands)
     listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they are")
@@ -57,23 +60,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-class _Help(argparse.HelpFormatter):
-    """Says defaults, where there are any."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        if action.default in (None, argparse.SUPPRESS) or action.required or action.nargs == 0:
-            return action.help
-        default = (
-            "x".join(map(str, action.default)) if isinstance(action.default, tuple) else "%(default)s"
-        )
-        return f"{action.help} (default: {default})"
-
-
 def _add_render(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser(
         "render",
         help="render a scene",
-        formatter_class=_Help,
+        formatter_class=Help,
     )
     add = parser.add_argument
     add("scene", help="scene file (.toml)")
@@ -84,16 +75,8 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         metavar="NAME",
         help=f"what to integrate: {', '.join(sorted(INTEGRANDS))}, or your own class, FILE.py:CLASS",
     )
-    add(
-        "--method",
-        choices=METHODS,
-        default="auto",
-        help="neural control variate, Monte Carlo, or by a rule what reaches an error sooner",
-    )
-    add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
+    add_common(parser)
     add("--size", type=_size, default=(512, 512), metavar="WxH", help="pixels")
-    add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
-    add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
     add(
         "-o",
         "--output",
@@ -102,7 +85,6 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         metavar="FILE",
         help=".exr or .png; repeatable",
     )
-    add("--json", metavar="FILE", help="write the statistics here")
     _add_integrand_options(parser)
     for group in GROUPS.values():
         add_arguments(parser, group)
@@ -291,8 +273,7 @@ def _write_all(image: Image, options: argparse.Namespace) -> list[str]:
     """Write every file that can be; returns those that could not, after a line on each."""
     writers = {path: functools.partial(image.write, path) for path in options.output}
     if options.json:
-        text = json.dumps(image.stats, indent=1, allow_nan=False) + "\n"
-        writers[options.json] = lambda: write_whole(options.json, lambda f: f.write(text.encode()))
+        writers[options.json] = lambda: write_json(options.json, image.stats)
     failed = []
     for path, write in writers.items():
         try:

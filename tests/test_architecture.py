@@ -32,6 +32,8 @@ FOLDERS = [
     "estimation",
     "output",
     "rendering",
+    "sensing",
+    "commands",
 ]
 MOST_FILES, MOST_LINES = 12, 400
 # A floating-point literal without an f.

@@ -149,7 +149,10 @@ def test_tables_of_results_are_complete(folder, one_device, scenes):
     ours = {key for image in images for key in image.stats}
     stages = {key for image in images for key in image.stats["seconds"]}
     skipped = {key for image in images for key in image.stats["skipped"]}
-    layers = {key for image in images for key in image.layers}
+    corners = np.array([[0, 0, 0], [0, 0, 500], [500, 0, 500], [500, 0, 0.0]])
+    floor = ncv.UVMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), corners[:, ::2] / 500)
+    baked = ncv.bake(box, floor, 4, spp=4, device=one_device)
+    layers = {key for image in (*images, baked) for key in image.layers}
     # What goes wrong is not made to here: full disks, and pixels that are not finite.
     assert {*ours, "not_written", "pixels_not_finite"} == set(table("docs/results.md", "## Statistics"))
     assert stages == set(table("docs/results.md", "Stages of"))
@@ -188,11 +191,14 @@ def test_kernel_files_that_the_source_names_exist():
             assert found is not None and found.exists(), f"{source} names {name}"
 
 
-@pytest.mark.parametrize(
-    "name", ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py", "turntable.py"]
-)
+EXAMPLES = ["scene_from_arrays.py", "my_integrand/sky.py", "same_seconds.py", "baked_floor.py"]
+
+
+@pytest.mark.parametrize("name", [*EXAMPLES, "office.py", "furnace.py", "turntable.py"])
 def test_examples_render(folder, small, monkeypatch, name):
     """In a fresh process each takes seconds; here they run with smaller pictures."""
+    if name not in EXAMPLES:
+        pytest.importorskip("matplotlib")
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     monkeypatch.setattr(sys, "argv", [name])

@@ -194,6 +194,8 @@ whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
 #if LIGHT_COUNT > 1
   const float3 x = p->position;
   const float3 n = p->geometric_normal;
+  /* What a cell's row leaves out is known of its surfaces only. */
+  if (p->detached > 0.0f) return all_strips(lights);
   return (whole)point_strips(lights, x.x, x.y, x.z, n.x, n.y, n.z);
 #else
   (void)p;

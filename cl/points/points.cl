@@ -8,6 +8,9 @@
  * that the position's error is a few ulps of the triangle's coordinates and not of the distance.
  * Writes the rows of surface.cl. Joined after surface.cl.
  *
+ * placed_points: one work-item a point that was given by position, normal and direction of view, three floats each,
+ * and the triangle that it lies on, or -1: that one's normal and size are taken then, by the rules of shading_points.
+ *
  * camera: a record of CAMERA in points.py: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2). A
  * record of MATERIAL there for each material.
  *
@@ -44,6 +47,44 @@ void store_row3(global float *restrict surface, const uint total_points, const u
   surface[(row + 2u) * stride + point] = value.z;
 }
 
+/* Surfaces are two-sided: a triangle's normal, unit, on the side of a direction. The edges are scaled before the
+ * cross product, whose squared length would leave float's range for very small triangles. */
+float3 triangle_normal(const float3 vertex0, const float3 vertex1, const float3 vertex2, const float3 towards) {
+  const float3 edge1 = vertex1 - vertex0;
+  const float3 edge2 = vertex2 - vertex0;
+  const float3 scaled1 = edge1 / largest(edge1);
+  const float3 scaled2 = edge2 / largest(edge2);
+  const float3 normal = normalize(cross(scaled1, scaled2));
+  return dot(normal, towards) < 0.0f ? -normal : normal;
+}
+
+/* The size of a triangle's box. */
+float3 triangle_extent(const float3 vertex0, const float3 vertex1, const float3 vertex2) {
+  return fmax(vertex0, fmax(vertex1, vertex2)) - fmin(vertex0, fmin(vertex1, vertex2));
+}
+
+void store_place(global float *restrict surface, const uint total_points, const uint point, const float3 position,
+                 const float3 normal, const float3 geometric_normal, const float3 outgoing, const float spread) {
+  const ulong stride = total_points;
+  store_row3(surface, total_points, ROW_POSITION, point, position);
+  store_row3(surface, total_points, ROW_NORMAL, point, normal);
+  store_row3(surface, total_points, ROW_GEOMETRIC_NORMAL, point, geometric_normal);
+  store_row3(surface, total_points, ROW_OUTGOING, point, outgoing);
+  surface[ROW_OFFSET * stride + point] = surface_offset(position, spread);
+  surface[ROW_LOBE_SHARE * stride + point] = 0.0f;
+  surface[ROW_DETACHED * stride + point] = 0.0f;
+}
+
+void store_material(global float *restrict surface, const uint total_points, const uint point,
+                    global const float *restrict material) {
+  const ulong stride = total_points;
+  for (uint i = 0; i < 3; ++i) {
+    surface[(ROW_ALBEDO + i) * stride + point] = material[MATERIAL_ALBEDO + i];
+    surface[(ROW_REFLECTANCE + i) * stride + point] = material[MATERIAL_REFLECTANCE + i];
+  }
+  surface[ROW_ROUGHNESS * stride + point] = material[MATERIAL_ROUGHNESS];
+}
+
 kernel void shading_points(global const float *restrict camera, const uint columns, const uint rows,
                            const uint total_points, global const uint *restrict cells,
                            global const uint *restrict hit_triangle, global const float *restrict hit_u,
@@ -66,36 +107,44 @@ kernel void shading_points(global const float *restrict camera, const uint colum
   const float b0 = 1.0f - b1 - b2;
   const float3 outgoing = -camera_direction(camera, cells[point], columns, rows);
 
-  /* Surfaces are two-sided: both normals turn towards the viewer. The edges are scaled before the
-   * cross product, whose squared length would leave float's range for very small triangles. */
-  const float3 edge1 = vertex1 - vertex0;
-  const float3 edge2 = vertex2 - vertex0;
-  const float3 scaled1 = edge1 / largest(edge1);
-  const float3 scaled2 = edge2 / largest(edge2);
-  float3 geometric_normal = normalize(cross(scaled1, scaled2));
-  if (dot(geometric_normal, outgoing) < 0.0f) geometric_normal = -geometric_normal;
+  const float3 geometric_normal = triangle_normal(vertex0, vertex1, vertex2, outgoing);
   float3 normal = b0 * load3(vertex_normals, corner0) + b1 * load3(vertex_normals, corner1) +
                   b2 * load3(vertex_normals, corner2);
   if (dot(normal, geometric_normal) < 0.0f) normal = -normal;
-  /* Flat triangles carry zero normals; an interpolated normal that turns away from the viewer, as at
+  /* Both normals turn towards the viewer. Flat triangles carry zero normals; an interpolated normal that turns away from the viewer, as at
    * silhouettes of coarse meshes, would make the surface black. */
   const float length2 = dot(normal, normal);
   normal = length2 > 0.0f ? normal * rsqrt(length2) : geometric_normal;
   if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
 
-  const float3 extent = fmax(vertex0, fmax(vertex1, vertex2)) - fmin(vertex0, fmin(vertex1, vertex2));
   const float3 position = b0 * vertex0 + b1 * vertex1 + b2 * vertex2;
-  const ulong material = (ulong)triangle_material[triangle] * MATERIAL_FLOATS;
-  const ulong stride = total_points;
-  store_row3(surface, total_points, ROW_POSITION, point, position);
-  store_row3(surface, total_points, ROW_NORMAL, point, normal);
-  store_row3(surface, total_points, ROW_GEOMETRIC_NORMAL, point, geometric_normal);
-  store_row3(surface, total_points, ROW_OUTGOING, point, outgoing);
-  surface[ROW_OFFSET * stride + point] = surface_offset(position, triangle_spread(extent, geometric_normal));
-  for (uint i = 0; i < 3; ++i) {
-    surface[(ROW_ALBEDO + i) * stride + point] = materials[material + MATERIAL_ALBEDO + i];
-    surface[(ROW_REFLECTANCE + i) * stride + point] = materials[material + MATERIAL_REFLECTANCE + i];
+  const float spread = triangle_spread(triangle_extent(vertex0, vertex1, vertex2), geometric_normal);
+  store_place(surface, total_points, point, position, normal, geometric_normal, outgoing, spread);
+  store_material(surface, total_points, point, materials + (ulong)triangle_material[triangle] * MATERIAL_FLOATS);
+}
+
+kernel void placed_points(const uint total_points, global const float *restrict positions,
+                          global const float *restrict normals, global const float *restrict outgoings,
+                          global const int *restrict on_triangle, global const uint *restrict point_material,
+                          global const float *restrict vertices, global const uint *restrict triangles,
+                          global const float *restrict materials, global float *restrict surface) {
+  const uint point = (uint)get_global_id(0);
+  if (point >= total_points) return;
+  const int triangle = on_triangle[point];
+  const float3 outgoing = load3(outgoings, point);
+  float3 normal = load3(normals, point);
+  float3 geometric_normal = normal;
+  float spread = 0.0f;
+  if (triangle >= 0) {
+    const float3 vertex0 = load3(vertices, triangles[3 * (ulong)triangle]);
+    const float3 vertex1 = load3(vertices, triangles[3 * (ulong)triangle + 1]);
+    const float3 vertex2 = load3(vertices, triangles[3 * (ulong)triangle + 2]);
+    geometric_normal = triangle_normal(vertex0, vertex1, vertex2, outgoing);
+    spread = triangle_spread(triangle_extent(vertex0, vertex1, vertex2), geometric_normal);
+    if (dot(normal, geometric_normal) < 0.0f) normal = -normal;
+    if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
   }
-  surface[ROW_ROUGHNESS * stride + point] = materials[material + MATERIAL_ROUGHNESS];
-  surface[ROW_LOBE_SHARE * stride + point] = 0.0f;
+  store_place(surface, total_points, point, load3(positions, point), normal, geometric_normal, outgoing, spread);
+  surface[ROW_DETACHED * (ulong)total_points + point] = triangle >= 0 ? 0.0f : 1.0f;
+  store_material(surface, total_points, point, materials + (ulong)point_material[point] * MATERIAL_FLOATS);
 }

@@ -16,6 +16,7 @@ typedef struct {
   float3 reflectance;      /* at normal incidence */
   float roughness;
   float lobe_share;        /* of the unit square, see lobe.cl; 0 until that is found */
+  float detached;          /* 1: on no surface of the scene, else 0 */
 } ShadingPoint;
 
 float3 load_row3(global const float *restrict surface, const uint total_points, const uint row,
@@ -51,6 +52,7 @@ ShadingPoint load_shading_point(global const float *restrict surface, const uint
   p.reflectance = load_row3(surface, total_points, ROW_REFLECTANCE, point);
   p.roughness = surface[ROW_ROUGHNESS * stride + point];
   p.lobe_share = surface[ROW_LOBE_SHARE * stride + point];
+  p.detached = surface[ROW_DETACHED * stride + point];
   return p;
 }
 

@@ -16,8 +16,9 @@
 
 /* From y0 to y1 of a line: the difference of sines, without cancellation where both lie on one side of its foot. */
 real sine_between(const real squared, const real y0, const real y1) {
-  const real inverse0 = rsqrt(FMA(y0, y0, squared));
-  const real inverse1 = rsqrt(FMA(y1, y1, squared));
+  /* A point in the light's plane may lie on the line, at y 0. */
+  const real inverse0 = rsqrt(max(FMA(y0, y0, squared), (real)FLT_MIN));
+  const real inverse1 = rsqrt(max(FMA(y1, y1, squared), (real)FLT_MIN));
   const real sine0 = y0 * inverse0;
   const real sine1 = y1 * inverse1;
   const real both = inverse0 * inverse1;
@@ -32,7 +33,8 @@ real place_in_gaps(const LightLines *lines, const Block *block, const real y, re
   const real begin = block->begin;
   const real squared = FMA(block->x, block->x, view->z * view->z);
   const real whole_line = lines->large ? sine_between(squared, begin, begin + view->length) : view->length;
-  const real inverse = 1.0f / whole_line;
+  /* A line in whose plane the point lies has no length, and no part of it is free. */
+  const real inverse = 1.0f / max(whole_line, (real)1e-30f);
   real start[MOST_GAPS], length[MOST_GAPS];
   real total = (real)0.0f;
   for (uint k = 0; k < gaps->used; ++k) {

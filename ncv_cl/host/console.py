@@ -120,3 +120,19 @@ def summary(stats: dict) -> str:
     if stats.get("mse") is not None:
         lines.append(f"MSE {stats['mse']:.6g}  relMSE {stats['relmse']:.6g}")
     return "\n".join(lines)
+
+
+def point_summary(stats: dict) -> str:
+    """Statistics of values at points, in a few lines."""
+    if not stats["points"]:
+        return "no points"
+    error = stats["mean_standard_error"]
+    known = (
+        "not known" if error is None else f"{error:.3g}, at most {stats['largest_standard_error']:.3g}"
+    )
+    return (
+        f"{stats['points']} points, {stats['samples_per_point']:.4g} samples each on average, in "
+        f"{stats['seconds']['total']:.3f} s; {stats['points_zero']} are zero, "
+        f"{stats['points_on_lights']} on lights, {stats['points_detached']} on no surface\n"
+        f"mean standard error {known}"
+    )

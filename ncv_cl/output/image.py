@@ -17,7 +17,7 @@ from ..host.files import PREFIX, check_writable
 # The channel names that viewers and denoisers look for.
 _RGB, _XYZ = ("R", "G", "B"), ("X", "Y", "Z")
 LAYER_CHANNELS = {"albedo": _RGB, "N": _XYZ, "depth": ("Z",), "G": _RGB, "residual": _RGB}
-LAYER_CHANNELS["direct"] = _RGB
+LAYER_CHANNELS |= {"direct": _RGB, "coverage": ("A",)}
 OUTPUT_SUFFIXES = (".exr", ".png")
 
 # EXR attributes hold only 32-bit numbers. Each metadata entry is written as one of its own for
@@ -41,7 +41,8 @@ class Image:
     layers : dict of arrays
         Any of "albedo" (h, w, 3), clamped to [0, 1] in files; "N" (h, w, 3), the shading normal
         in world space; "depth" (h, w), the distance from the camera in scene units; "G"
-        (h, w, 3), the integrated network; "residual" (h, w, 3).
+        (h, w, 3), the integrated network; "residual" (h, w, 3); "coverage" (h, w), of a map, the part
+        of each texel that is on the mesh.
     stats : dict
         JSON-able statistics of the rendering; not written by `write`.
     metadata : dict of str, int or float

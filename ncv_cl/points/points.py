@@ -9,7 +9,7 @@ import numpy as np
 from ..opencl.device import Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
-from ..opencl.program import build
+from ..opencl.program import Program, build
 from ..scene.load import Camera, Scene
 from .trace import Hits, Tracer
 
@@ -26,6 +26,7 @@ SURFACE = Record(
         "reflectance": 3,
         "roughness": 1,
         "lobe_share": 1,
+        "detached": 1,
     },
 )
 # Of a camera, right and up reach to the sides of the picture at distance 1.
@@ -113,6 +114,12 @@ class ShadingPoints:
         return replace(self, active=self.active - dark, dark=dark)
 
 
+def points_program(device: Device) -> Program:
+    """The kernels that make shading points."""
+    defines = {**surface_defines(), **CAMERA.defines(), **MATERIAL.defines()}
+    return build(device, ("common", "surface", "points"), defines)
+
+
 def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
     """What points.cl reads of a camera, float32 (CAMERA.size,)."""
     forward = np.asarray(camera.target, float) - np.asarray(camera.position, float)
@@ -175,8 +182,7 @@ def find_points(
     """
     columns, rows = width * supersample, height * supersample
     cells = columns * rows
-    defines = {**surface_defines(), **CAMERA.defines(), **MATERIAL.defines()}
-    program = build(device, ("common", "surface", "points"), defines)
+    program = points_program(device)
     camera = HostArray.of(device, camera_record(scene.camera, width, height))
     hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
 

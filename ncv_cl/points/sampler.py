@@ -41,6 +41,10 @@ class Stream(enum.IntEnum):
     # Direct light that is estimated apart from the rest, and its second scramble.
     DIRECT = 10
     DIRECT_AGAIN = 11
+    # Points on surfaces, from which view factors are measured.
+    PATCHES = 14
+    # Directions from there.
+    PATCH_RAYS = 15
 
 
 class HostStream(enum.IntEnum):
@@ -51,6 +55,8 @@ class HostStream(enum.IntEnum):
     TRAINING_POINTS = 2
     POINTS_DONE_TWICE = 3
     DENSITY = 4
+    # The order of directions from points on surfaces.
+    PATCH_RAYS = 8
 
 
 def host_generator(seed: int, stream: HostStream) -> np.random.Generator:

@@ -9,6 +9,7 @@ from ..host.clock import Stopwatch
 from ..integrands import Integrand
 from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
+from ..points.arrays import PointArrays, place_points
 from ..points.points import ShadingPoints, find_points
 from ..points.trace import Tracer
 from ..sampling.paths import sample_source
@@ -21,6 +22,12 @@ from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import Slices
 from ..visibility.tuning import MOST_LIGHTS, MOST_ON_LINES
 
+# Points that are farther out of a scene's bounds than this part of its extent widen them.
+OUTSIDE = 2.0**-10
+# Where a point's coordinates are larger than the scene's by this factor, shadows are left to embree: at
+# 20 times they are right, at 200 some percent are not.
+FAR = 16.0
+
 
 def prepare(
     device: Device,
@@ -28,11 +35,14 @@ def prepare(
     settings: Settings,
     threads: int | None,
     watch: Stopwatch,
+    given: PointArrays | None = None,
 ) -> Problem:
-    """Trace the camera's rays, and set up the sampling of the points that they hit.
+    """Find shading points, and set up their sampling.
 
     Parameters
     ----------
+    given : PointArrays, optional
+        The points; by default they are what the camera's rays hit.
     threads : int, optional
         Of the host, for tracing; all cores by default.
     watch : Stopwatch
@@ -46,20 +56,19 @@ def prepare(
             f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
             f"{len(scene.lights)}; take 'auto'"
         )
+    is_near = _is_near(scene, given)
+    if settings.sampling.visibility == "lines" and not is_near:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for points that are no farther away than {FAR:g} "
+            "times the scene's extent; take 'auto'"
+        )
     with watch("scene"):
         tracer = Tracer(scene, threads)
     with watch("points"):
-        points = find_points(
-            device,
-            scene,
-            tracer,
-            *settings.size,
-            settings.sampling.supersample,
-            integrand.emitters_active,
-        )
+        points = _points(device, scene, tracer, settings, given)
         points = _without_dark(scene, settings, points)
     occluders, lines = None, False
-    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene)
+    looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene) and is_near
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
@@ -94,13 +103,43 @@ def prepare(
         device,
         points,
         source,
-        scene.world_bounds,
+        _bounds(scene, given),
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
         glow=integrand.glow(scene, points.material[: points.active]).T,
         apart=apart,
     )
+
+
+def _points(
+    device: Device, scene: Scene, tracer: Tracer, settings: Settings, given: PointArrays | None
+) -> ShadingPoints:
+    emitters_active = settings.integrand.emitters_active
+    if given is not None:
+        return place_points(device, scene, tracer, given, emitters_active)
+    size, supersample = settings.size, settings.sampling.supersample
+    return find_points(device, scene, tracer, *size, supersample, emitters_active)
+
+
+def _is_near(scene: Scene, given: PointArrays | None) -> bool:
+    """Whether occluders, whose corners are taken from each point, are resolved there."""
+    if given is None or not len(given.positions):
+        return True
+    return float(np.abs(given.positions).max()) <= FAR * float(np.abs(scene.bounds).max())
+
+
+def _bounds(scene: Scene, given: PointArrays | None) -> np.ndarray:
+    """Bounds in the world, float64 (2, 3), of the scene and of points that lie outside of it."""
+    bounds = scene.world_bounds
+    if given is None:
+        return bounds
+    positions = given.positions.astype(np.float64) + scene.origin
+    least, most = positions.min(axis=0), positions.max(axis=0)
+    # Points of the surface may be rounded out of it.
+    slack = OUTSIDE * np.ptp(bounds, axis=0).max()
+    lower = np.where(least < bounds[0] - slack, least, bounds[0])
+    return np.stack([lower, np.where(most > bounds[1] + slack, most, bounds[1])])
 
 
 def _occluders(

@@ -76,6 +76,18 @@ class Assembly:
     def warn(self, table: Table, key: str, message: str) -> None:
         self.warnings.append(str(table.error(key, message)))
 
+    @staticmethod
+    def _names(table: Table) -> list[str]:
+        """The name of a table's surface, if it has one."""
+        if "name" not in table:
+            return []
+        name = table.text("name")
+        if name.startswith("-"):
+            raise table.error(
+                "name", f"{name!r} must not begin with -, which means the back of a surface"
+            )
+        return [name]
+
     def add(self, table: Table, key: str, mesh: Mesh, material: int, advice: str = "") -> None:
         """Append a mesh that `table` describes, maybe with others; `advice`: see `_Part`."""
         self._parts.append(_Part(table, key, mesh, material, -1, advice))
@@ -146,6 +158,12 @@ class Assembly:
         triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
         counts = [len(mesh.triangles) for mesh in meshes]
         material, light = np.array([(part.material, part.light) for part in self._parts], np.int32).T
+        ends = np.cumsum([0, *counts]).tolist()
+        named = [
+            (name, range(first, last))
+            for part, first, last in zip(self._parts, ends[:-1], ends[1:], strict=True)
+            for name in self._names(part.table)
+        ]
         scene = Scene(
             name=name,
             path=path,
@@ -159,6 +177,7 @@ class Assembly:
             triangle_light=np.repeat(light, counts),
             warnings=tuple(self.warnings),
             origin=origin,
+            named=tuple(named),
         )
         for array in vars(scene).values():
             if isinstance(array, np.ndarray):

@@ -88,9 +88,13 @@ def _table(where: str, value: object, kind: type) -> dict[str, object]:
     """The keys of a scene file's table for one of this module's objects."""
     if not isinstance(value, kind):
         raise SceneError(f"{_SOURCE}: {where}: expected a {kind.__name__}, got {_short(value)}")
-    # A material's name is its key; normals may be left out.
+    # A material's name is its key; a mesh's normals and name may be left out.
     given = {field.name: getattr(value, field.name) for field in fields(kind)}
-    return {key: one for key, one in given.items() if key != "name" and one is not None}
+    return {
+        key: one
+        for key, one in given.items()
+        if one is not None and (kind is not Material or key != "name")
+    }
 
 
 def _tables(where: str, values: object, kind: type) -> list[dict[str, object]]:

@@ -88,11 +88,11 @@ def _read_toml(path: Path) -> dict[str, object]:
 
 
 def _add_primitives(root: Table, assembly: Assembly) -> None:
-    for table in root.tables("quads", ("corner", "edge1", "edge2", "material")):
+    for table in root.tables("quads", ("corner", "edge1", "edge2", "material", "name")):
         corners = (table.vector(key) for key in ("corner", "edge1", "edge2"))
         mesh = geometry.quad_mesh(*corners)
         assembly.add(table, "", mesh, assembly.named_material(table))
-    for table in root.tables("polygons", ("vertices", "material")):
+    for table in root.tables("polygons", ("vertices", "material", "name")):
         vertices = table.raw("vertices")
         if not isinstance(vertices, list) or len(vertices) < 3:
             raise table.error("vertices", "expected a list of at least 3 points")
@@ -102,9 +102,9 @@ def _add_primitives(root: Table, assembly: Assembly) -> None:
         except ValueError as error:
             raise table.error("vertices", str(error)) from error
         assembly.add(table, "vertices", mesh, assembly.named_material(table))
-    for table in root.tables("boxes", ("min", "max", "center", "size", "rotate", "material")):
+    for table in root.tables("boxes", ("min", "max", "center", "size", "rotate", "material", "name")):
         assembly.add(table, "", _read_box(table), assembly.named_material(table))
-    for table in root.tables("spheres", ("center", "radius", "material", "subdivisions")):
+    for table in root.tables("spheres", ("center", "radius", "material", "subdivisions", "name")):
         radius = table.number("radius")
         if not radius > 0.0:
             raise table.error("radius", f"{radius} is out of range; it must be positive")
@@ -165,7 +165,7 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
 
 
 def _add_mesh_files(root: Table, folder: Path, assembly: Assembly) -> None:
-    keys = ("file", "material", "translate", "scale", "rotate", "transform", "smooth")
+    keys = ("file", "material", "name", "translate", "scale", "rotate", "transform", "smooth")
     for table in root.tables("meshes", keys):
         file = folder / table.text("file")
         transform = _read_transform(table)

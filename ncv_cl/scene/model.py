@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .table import SceneError
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -77,12 +79,15 @@ class TriangleMesh:
     normals : array (n_vertices, 3), optional
         Shading normals of any length, to be interpolated. Triangles whose three are zero, and all where
         there are none, are shaded with their own.
+    name : str, optional
+        What surfaces are called, for `view_factors` and `bake`; several may share a name.
     """
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int64]
     material: str
     normals: NDArray[np.float64] | None = None
+    name: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +160,8 @@ class Scene:
         What was put right, such as dropped triangles.
     origin : float64 (3,)
         World position of this scene's origin: 0 unless the scene lies far from the world's.
+    named : tuple of (str, range)
+        Names of surfaces, and the triangles of each; a name may occur several times.
     """
 
     name: str
@@ -169,6 +176,21 @@ class Scene:
     triangle_light: NDArray[np.int32]
     warnings: tuple[str, ...]
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    named: tuple[tuple[str, range], ...] = ()
+
+    def surface_of(self, name: str) -> NDArray[np.int64]:
+        """The triangles of the surfaces of a name, int64.
+
+        Raises
+        ------
+        SceneError
+            If there are none.
+        """
+        ranges = [found for own, found in self.named if own == name]
+        if not ranges:
+            known = ", ".join(sorted({own for own, _ in self.named})) or "none"
+            raise SceneError(f"{self.name}: no surface is called {name!r}; named surfaces: {known}")
+        return np.concatenate([np.arange(one.start, one.stop) for one in ranges])
 
     @cached_property
     def bounds(self) -> NDArray[np.float32]:

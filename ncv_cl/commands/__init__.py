@@ -1,0 +1,1 @@
+"""Commands of ncv-cl that have a file of their own."""

@@ -1,0 +1,42 @@
+"""What commands share: help that says defaults, arguments of every estimate, statistics as a file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from ..host.files import write_whole
+from ..settings.settings import METHODS
+
+
+class Help(argparse.HelpFormatter):
+    """Says defaults, where there are any."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, argparse.SUPPRESS) or action.required or action.nargs == 0:
+            return action.help
+        default = (
+            "x".join(map(str, action.default)) if isinstance(action.default, tuple) else "%(default)s"
+        )
+        return f"{action.help} (default: {default})"
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """Arguments of all that is estimated."""
+    add = parser.add_argument
+    add(
+        "--method",
+        choices=METHODS,
+        default="auto",
+        help="neural control variate, Monte Carlo, or by a rule what reaches an error sooner",
+    )
+    add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
+    add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
+    add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
+    add("--json", metavar="FILE", help="write the statistics here")
+
+
+def write_json(path: str, stats: dict[str, object]) -> None:
+    """Write statistics, in which nothing is NaN or infinite."""
+    text = json.dumps(stats, indent=1, allow_nan=False) + "\n"
+    write_whole(path, lambda file: file.write(text.encode()))
