@@ -120,11 +120,19 @@ class Assembly:
         return origin, placed
 
     def _report_dropped(self) -> None:
-        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
-        for (_, key), (table, dropped, total) in self._dropped.items():
-            if dropped == total:
+        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left.
+
+        A mesh without area is an error unless there are others: exporters write such meshes, a line of
+        a scene file that describes one is a slip.
+        """
+        of_meshes = [(d, n) for (where, _), (_, d, n) in self._dropped.items() if _is_mesh(where)]
+        others = any(dropped < total for dropped, total in of_meshes)
+        for (where, key), (table, dropped, total) in self._dropped.items():
+            if dropped == total and not (others and _is_mesh(where)):
                 raise table.error(key, "has no area: all its triangles are degenerate")
-            if dropped:
+            if dropped == total:
+                self.warn(table, key, "has no area and is left out: all its triangles are degenerate")
+            elif dropped:
                 message = f"dropped {dropped} degenerate of {total} triangles (they have no area)"
                 self.warn(table, key, message)
 
@@ -164,6 +172,11 @@ class Assembly:
             if isinstance(array, np.ndarray):
                 array.setflags(write=False)
         return scene
+
+
+def _is_mesh(where: str) -> bool:
+    """Whether a table's place is that of a mesh, a file's or given as arrays."""
+    return where.startswith("meshes[")
 
 
 def read_camera(root: Table) -> Camera:

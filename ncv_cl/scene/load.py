@@ -64,17 +64,25 @@ def load_scene(path: str | Path) -> Scene:
         `Scene.warnings`.
     """
     path = Path(path)
-    root = Table(path, "", _read_toml(path), _SCENE_KEYS)
+    scene = scene_from(_read_toml(path), path)
+    for warning in scene.warnings:
+        warnings.warn(warning, stacklevel=2)
+    return scene
+
+
+def scene_from(tables: dict[str, object], path: Path) -> Scene:
+    """The scene of what a scene file holds; `path` is that file, for messages and mesh files.
+
+    Raises `SceneError` as `load_scene` does; warns of nothing, see `Scene.warnings`.
+    """
+    root = Table(path, "", tables, _SCENE_KEYS)
     assembly = Assembly(path, read_camera(root), read_materials(root))
     _add_primitives(root, assembly)
     _add_mesh_files(root, path.parent, assembly)
     add_lights(root, assembly)
     if assembly.is_empty:
         raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
-    scene = assembly.scene(root.text("name", path.stem), path)
-    for warning in scene.warnings:
-        warnings.warn(warning, stacklevel=2)
-    return scene
+    return assembly.scene(root.text("name", path.stem), path)
 
 
 def _read_toml(path: Path) -> dict[str, object]:

@@ -28,6 +28,8 @@ _READERS: dict[str, Callable[[Path, Notes], list[FileGeometry]]] = {
     ".gltf": read_gltf,
     ".glb": read_gltf,
 }
+# Suffixes of the files that are read.
+KINDS = tuple(_READERS)
 
 
 @dataclass(frozen=True, eq=False)
