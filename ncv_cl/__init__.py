@@ -21,6 +21,7 @@ from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
+from .scene.textures.texture import Texture
 from .settings.options import Files, Machine, Sampling, Stopping, Training
 
 __all__ = [
@@ -46,6 +47,7 @@ __all__ = [
     "SceneError",
     "Stopping",
     "Subdivision",
+    "Texture",
     "Training",
     "TriangleMesh",
     "build_scene",

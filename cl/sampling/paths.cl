@@ -14,7 +14,8 @@
  * them; there is then nothing for add_lit.
  *
  * `triangles`: records of triangles.py. With HAS_SPECULAR they have reflectance and roughness, with HAS_EMISSION
- * emission, with HAS_NORMALS the corners' normals. Both sides are alike.
+ * emission, with HAS_NORMALS the corners' normals, with HAS_TEXTURES and HAS_COLOURS what is interpolated for
+ * textures.cl and between the corners' colours. Both sides are alike.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
  * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
@@ -86,7 +87,8 @@ triple turned(const triple t, const whole turn) {
 }
 
 /* Where rays hit. The position along the ray is moved onto the triangle's plane, for the offset to suffice. */
-void load_hit(global const float *restrict triangles, const whole at, const triple along, const real b1, const real b2,
+void load_hit(global const float *restrict triangles, global const uint *restrict textures,
+              global const half *restrict texels, const whole at, const triple along, const real b1, const real b2,
               const triple outgoing, triple *position, triple *geometric_normal, Scatterer *s) {
   const triple own = gather_triple(triangles, at + TRIANGLE_NORMAL);
   const real above = dot_triple(own, along) - gather(triangles, at + TRIANGLE_DISTANCE);
@@ -115,10 +117,8 @@ void load_hit(global const float *restrict triangles, const whole at, const trip
     s->normal.y = SELECT(s->normal.y, normal.y * inverse, usable);
     s->normal.z = SELECT(s->normal.z, normal.z * inverse, usable);
   }
-#else
-  (void)b1;
-  (void)b2;
 #endif
+  vary_surface(triangles, textures, texels, at, b1, b2, s);
 }
 
 /* Adds to the sums of lanes that are `here`. */
@@ -143,8 +143,6 @@ triple sum_where(const triple a, const triple b, const whole here) {
   return (triple){SELECT(a.x, a.x + b.x, here), SELECT(a.y, a.y + b.y, here), SELECT(a.z, a.z + b.z, here)};
 }
 
-triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y * b.y, a.z * b.z}; }
-
 /* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
  * the ray's `density` is. */
 triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
@@ -164,7 +162,8 @@ triple light_met(global const float *restrict lights, const whole strips, const 
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, global const uint *restrict order,
-                       global const float *restrict triangles, global const float *restrict lights,
+                       global const float *restrict triangles, global const uint *restrict textures,
+                       global const half *restrict texels, global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
                        global const uint *restrict guide, global const float *restrict guide_mean,
                        global uint *restrict guide_place, const uint plane, global const float *restrict wave,
@@ -202,7 +201,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
+  load_hit(triangles, textures, texels, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
            LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
 #if HAS_EMISSION
   const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);

@@ -88,7 +88,7 @@ class DirectLight(Integrand):
 
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
-    return {"HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials))}
+    return {"HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials))}
 
 
 def _corners(light: QuadLight) -> np.ndarray:

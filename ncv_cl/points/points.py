@@ -11,6 +11,7 @@ from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..scene.load import Camera, Scene
+from ..scene.textures.surface import surface_at, varies
 from .trace import Hits, Tracer
 
 # A point's properties, each number of them a row of `surface`.
@@ -206,11 +207,21 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
+    if varies(scene):
+        _vary(surface, scene, hits.triangle[cell], hits.u[cell], hits.v[cell])
     material = scene.triangle_material[hits.triangle[cell]]
     background = cells - len(cell)
     return ShadingPoints(
         surface, cell, light, active, background, material=material, origin=scene.origin
     )
+
+
+def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> None:
+    """Put in what textures and colours of vertices make of hits, as `surface_at` takes them."""
+    found = surface_at(scene, *hits)
+    with surface.mapped(update=True) as rows:
+        for name in ("albedo", "reflectance", "roughness"):
+            rows[SURFACE[name]] = getattr(found, name).T
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:

@@ -13,6 +13,7 @@ from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
+from ..points.textures import Textures, texture_defines
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
@@ -74,6 +75,7 @@ class PathSource(SampleSource):
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
+        self._textures = Textures.of(device, scene)
         self._frame = HostArray.of(device, guide_frame(scene))
         few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
@@ -85,7 +87,7 @@ class PathSource(SampleSource):
         )
         self._recorder: GuideRecorder | None = None
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
-        self._files = (*surface, "warp", "guide", "shadow", "batch", "wave", "paths")
+        self._files = (*surface, "textures", "warp", "guide", "shadow", "batch", "wave", "paths")
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -98,6 +100,7 @@ class PathSource(SampleSource):
             **ray_defines(),
             **warp_defines(),
             **guide_defines(),
+            **texture_defines(),
         }
         self._choose_program()
         capacity = self._capacity
@@ -257,6 +260,8 @@ class PathSource(SampleSource):
             **self._seed,
             order=batch.order,
             triangles=self._triangles,
+            textures=self._textures.records,
+            texels=self._textures.texels,
             lights=self._data,
             casters=self._casters,
             guide_frame=self._frame,
