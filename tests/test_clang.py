@@ -109,6 +109,7 @@ def render_everything(device: Device, folder: Path) -> None:
             GlobalIllumination(3),
         ),
         (GLOSSY + COLOURED, GlobalIllumination(3)),
+        (TEXTURED.replace("[[quads]]", "emission = 2\n[[quads]]"), GlobalIllumination(3)),
     ]
     write_image(folder / "image.exr", np.full((2, 3, 3), 0.5, np.float32), "half")
     (folder / "coloured.obj").write_text(VERTICES)

@@ -18,7 +18,7 @@ from ncv_cl.scene.textures.surface import surface_at
 BROWN = np.array([0.21586, 0.014444, 0.014444])
 OPAQUE = "materials that let light through are drawn opaque: 1 (w)"
 EMITS = "materials that emit, which integrand gi renders and direct refuses: 1 (w)"
-MEANS = "textures are not read, their mean colour stands for them: "
+OTHERS = "textures that are not placed as the colour is, their mean colour stands for them: "
 NO_METAL = (
     "textures of metal that are missing or cannot be read, the surface is no metal: "
     "1 (metallicRoughnessTexture of w)"
@@ -272,13 +272,24 @@ def test_textures_that_are_missing_and_those_of_metal(tmp_path: Path) -> None:
     assert said == [missing + "1 (baseColorTexture of w)", NO_METAL]
 
 
-def test_an_emissive_texture_gives_the_power_of_its_mean(tmp_path: Path) -> None:
-    gltf = Gltf()
-    source = {"uri": "data:image/png;base64," + base64.b64encode(png_bytes(128, 32, 32)).decode()}
-    gltf.tree |= {"textures": [{"source": 0}], "images": [source]}
-    found, said = read(tmp_path, {"emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}, gltf)
-    assert np.allclose(found.emission, BROWN, rtol=2**-11)
-    assert said == [MEANS + "1 (emissiveTexture of w)", EMITS]
+def test_an_emissive_texture_multiplies_the_factor(tmp_path: Path) -> None:
+    material = {"emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 0.5]}
+    material["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 20}}
+    gltf, attributes = with_coordinates(image([[(128, 32, 32)]], tmp_path))
+    found, said = read(tmp_path, material, gltf, **attributes)
+    assert found.emission.tolist() == [20, 20, 10] and said == [EMITS]
+    assert np.allclose(found.maps.emission.texels[0, 0, :3], BROWN, rtol=2**-11)
+    # Where it cannot be shown, the power is that of its mean.
+    gltf, _ = with_coordinates(image([[(128, 32, 32)]], tmp_path))
+    found, said = read(tmp_path, material, gltf)
+    assert np.allclose(found.emission, BROWN * [20, 20, 10], rtol=2**-11) and EMITS in said
+    assert "textures of meshes without texture coordinates, their mean stands for them: 1 (w)" in said
+    turned = {"index": 0, "extensions": {"KHR_texture_transform": {"rotation": 1}}}
+    gltf, attributes = with_coordinates(image([[(128, 32, 32)]], tmp_path))
+    material |= pbr(baseColorTexture=turned)
+    found, said = read(tmp_path, material, gltf, **attributes)
+    assert np.allclose(found.emission, BROWN * [20, 20, 10], rtol=2**-11)
+    assert said == [OTHERS + "1 (emissiveTexture of w)", EMITS]
 
 
 def test_specular_glossiness_has_a_diffuse_texture(tmp_path: Path) -> None:

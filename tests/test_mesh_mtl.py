@@ -205,7 +205,7 @@ def test_means_are_taken_in_linear_light(
     write_image(tmp_path / name, pixels, kind)
     material, said = read(tmp_path, f"Ke 1 1 1\nKd 0\nmap_Ke {name}")
     assert np.allclose(material.emission, expected, rtol=0.01)
-    assert f"map_Ke {name} of m" in said[0]
+    assert said[1] == "textures of meshes without texture coordinates, their mean stands for them: 1 (m)"
 
 
 def test_a_black_factor_does_not_hide_a_texture(tmp_path: Path) -> None:
@@ -244,7 +244,18 @@ def test_emission_and_highlights_have_textures_too(tmp_path: Path) -> None:
     material, said = read(tmp_path, "Kd 0.4\nmap_Ks brown.png\nKe 10 10 10\nmap_Ke brown.png")
     assert np.allclose(material.reflectance, BROWN, rtol=2**-11)
     assert np.allclose(material.emission, 10 * np.array(BROWN), rtol=2**-11)
-    assert said[0].startswith("textures are not read, their mean colour stands for them: 2 (map_Ks ")
+    assert said[0] == (
+        "textures are not read, their mean colour stands for them: 1 (map_Ks brown.png of m)"
+    )
+    material, said = textured(tmp_path, "Kd 0.4\nKe 10 10 10\nmap_Ke -s 2 2 brown.png")
+    assert material.emission.tolist() == [10, 10, 10] and material.maps.placement[0] == 2
+    assert np.allclose(material.maps.emission.texels[0, 0, :3], BROWN, rtol=2**-11)
+    material, said = textured(tmp_path, "map_Kd brown.png\nKe 10 10 10\nmap_Ke -s 2 2 brown.png")
+    assert np.allclose(material.emission, 10 * np.array(BROWN), rtol=2**-11)
+    assert said[0] == (
+        "textures that are not placed as the colour is, their mean colour stands for them: 1 "
+        "(map_Ke brown.png of m)"
+    )
 
 
 def test_many_names_are_counted_and_the_first_are_listed(tmp_path: Path) -> None:

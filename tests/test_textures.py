@@ -362,6 +362,14 @@ def test_roughness_may_be_an_image(folder, one_device):
     assert (texture.texels == stored).all()
 
 
+def test_emission_may_be_an_image_of_any_brightness(folder, one_device):
+    write_image(folder / "hot.exr", np.full((2, 2, 3), 3.0, np.float32), "half")
+    glow = 'albedo = 0\nemission = { file = "hot.exr", factor = [2, 1, 0] }'
+    scene = load(folder, SCENE.replace('albedo = { file = "t.png"%s }', glow))
+    image = ncv.render(scene, "gi", "mc", spp=1, size=(4, 4), device=one_device)
+    np.testing.assert_allclose(image.pixels, np.broadcast_to([6, 3, 0], (4, 4, 3)))
+
+
 def test_boxes_and_spheres_have_coordinates(folder, one_device):
     """Each side of a box shows the image upright as seen from outside; a sphere's seam is not seen."""
     box = (
@@ -489,7 +497,7 @@ def test_surfaces_without_coordinates_are_named(folder):
 
 def test_two_textures_lie_alike(folder):
     rough = ' }\nroughness = { file = "t.png", scale = 2'
-    with pytest.raises(ncv.SceneError, match=r"materials\.paper\.roughness: its scale and offset"):
+    with pytest.raises(ncv.SceneError, match=r"materials\.paper\.roughness: its scale .* of albedo's"):
         load(folder, SCENE % rough)
     assert load(folder, SCENE % (", scale = 2" + rough)).materials[0].maps.placement[0] == 2
 

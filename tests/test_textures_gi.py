@@ -187,7 +187,7 @@ METALS = {
     "maps": (
         {
             "reflectance": 0.04, "roughness": 0.8,
-            "maps": lambda i, colour: Maps(colour, Texture.of(SURFACES[i], nearest=True), 0.9),
+            "maps": lambda i, colour: Maps(colour, Texture.of(SURFACES[i], nearest=True), None, 0.9),
         },
         {"reflectance": 0.04, "rough": 0.8, "metallic": 0.9, "surfaces": SURFACES},
     ),
@@ -206,6 +206,28 @@ def test_texels_are_as_good_as_small_surfaces(device, kind, integrand):
         np.testing.assert_allclose(points.rows(name), parts.rows(name), atol=2e-6)
     assert np.ptp(points.rows("albedo"), axis=1).min() > 0.1
     assert_same(mean, other, variance + others)
+
+
+@pytest.mark.parametrize("depth", [2, 3])
+def test_images_that_glow_are_as_good_as_small_surfaces(device, depth):
+    """Seen by the camera, and by rays behind it."""
+    one = textured("repeat", True, scale=1.0, maps=lambda i, colour: Maps(emission=colour), emission=2.0)
+    many = tessellated()
+    materials = []
+    for material in many.materials:
+        base = np.asarray(material.albedo, np.float32)
+        glow = base / np.float32([1.0, 0.9, 0.8]) * 2
+        plain = np.float32([1.0, 0.9, 0.8])
+        is_light = material.name == "light"
+        materials.append(material if is_light else replace(material, albedo=plain, emission=glow))
+    many = replace(many, materials=tuple(materials))
+    options = {"method": "mc", "sampler": "independent", "spp": 512, "size": (8, 6), "device": device}
+    first = ncv.render(one, GlobalIllumination(depth), seed=1, **options)
+    second = ncv.render(many, GlobalIllumination(depth), seed=2, **options)
+    assert np.ptp(first.pixels) > 1
+    known = first.variance + second.variance > 1e-10
+    z = ((first.pixels - second.pixels) / np.sqrt(first.variance + second.variance + 1e-12))[known]
+    assert np.mean(z**2) < 1 + 5 * np.sqrt(2 / (z.size / 3)) and np.abs(z).max() < 5
 
 
 def test_the_network_sees_the_points_own_albedo(one_device):

@@ -204,7 +204,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   load_hit(triangles, textures, texels, at, sum_of(origin, direction, distance), LOAD(PLANE(wave, WAVE_U) + first),
            LOAD(PLANE(wave, WAVE_V) + first), outgoing, &position, &geometric_normal, &s);
 #if HAS_EMISSION
-  const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
+  const triple emitted = emission_at(triangles, textures, texels, at, LOAD(PLANE(wave, WAVE_U) + first),
+                                     LOAD(PLANE(wave, WAVE_V) + first));
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */

@@ -78,6 +78,34 @@ real interpolated(const real a, const real b, const real c, const real b1, const
 
 triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y * b.y, a.z * b.z}; }
 
+#if HAS_TEXTURES
+/* Texture coordinates where rays hit. */
+void coordinates_at(global const float *restrict triangles, const whole at, const real b1, const real b2, real *u,
+                    real *v) {
+  const whole uv = at + TRIANGLE_UV_0;
+  *u = interpolated(gather(triangles, uv), gather(triangles, uv + 2), gather(triangles, uv + 4), b1, b2);
+  *v = interpolated(gather(triangles, uv + 1), gather(triangles, uv + 3), gather(triangles, uv + 5), b1, b2);
+}
+#endif
+
+#if HAS_EMISSION
+/* What surfaces emit where rays hit them. */
+triple emission_at(global const float *restrict triangles, global const uint *restrict textures,
+                   global const half *restrict texels, const whole at, const real b1, const real b2) {
+  triple emission = gather_triple(triangles, at + TRIANGLE_EMISSION);
+#if HAS_TEXTURES
+  const whole texture = TO_WHOLE(gather(triangles, at + TRIANGLE_EMISSION_TEXTURE));
+  if (ANY(texture >= 0)) {
+    real u, v;
+    coordinates_at(triangles, at, b1, b2, &u, &v);
+    emission = product(emission, texture_at(textures, texels, texture, u, v));
+  }
+#endif
+  (void)textures, (void)texels, (void)b1, (void)b2;
+  return emission;
+}
+#endif
+
 /* Puts in what textures and colours of vertices make of the surfaces that rays hit: `at` are their triangles' records
  * (triangles.py), `b1` and `b2` the shares of corners 1 and 2. */
 void vary_surface(global const float *restrict triangles, global const uint *restrict textures,
@@ -92,11 +120,8 @@ void vary_surface(global const float *restrict triangles, global const uint *res
   s->albedo = product(s->albedo, colour);
 #endif
 #if HAS_TEXTURES
-  const whole uv = at + TRIANGLE_UV_0;
-  const real u =
-      interpolated(gather(triangles, uv), gather(triangles, uv + 2), gather(triangles, uv + 4), b1, b2);
-  const real v =
-      interpolated(gather(triangles, uv + 1), gather(triangles, uv + 3), gather(triangles, uv + 5), b1, b2);
+  real u, v;
+  coordinates_at(triangles, at, b1, b2, &u, &v);
   const whole texture = TO_WHOLE(gather(triangles, at + TRIANGLE_TEXTURE));
   if (ANY(texture >= 0)) s->albedo = product(s->albedo, texture_at(textures, texels, texture, u, v));
 #endif

@@ -18,8 +18,8 @@ def triangle_record(
 
     `distance` is that of its plane from the scene's origin, `offset` that of ray origins by its spread
     (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1.
-    `texture` and `surface_texture` are indices of textures.cl or -1, and `metallic` as in `Maps`: one of
-    0 takes that of the corners' colours as well.
+    `texture`, `surface_texture` and `emission_texture` are indices of textures.cl or -1, `metallic` is
+    as in `Maps`.
     """
     fields = {"normal": 3, "distance": 1, "offset": 1, "light": 1, "albedo": 3}
     if specular:
@@ -30,6 +30,8 @@ def triangle_record(
         fields |= {"normal_0": 3, "normal_1": 3, "normal_2": 3}
     if textured:
         fields |= {"texture": 1, "uv_0": 2, "uv_1": 2, "uv_2": 2}
+    if textured and emission:
+        fields |= {"emission_texture": 1}
     if coloured:
         fields |= {"colour_0": 3, "colour_1": 3, "colour_2": 3}
     if specular and (textured or coloured):
@@ -57,6 +59,7 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "metallic": np.array([one.metallic for one in maps]),
         "texture": texture_index(scene, "colour"),
         "surface_texture": texture_index(scene, "surface"),
+        "emission_texture": texture_index(scene, "emission"),
     }
     has = {
         "specular": any(one.has_lobe for one in scene.materials),

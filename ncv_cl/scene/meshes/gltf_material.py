@@ -20,7 +20,15 @@ from .common import (
     three,
 )
 from .gltf_buffers import Container
-from .textures import MEANS, MISSING, NO_METAL, NOT_PLACED_ALIKE, Image, colour_texture, mean_colour
+from .textures import (
+    MEAN_OF_OTHERS,
+    MISSING,
+    NO_METAL,
+    NOT_PLACED_ALIKE,
+    Image,
+    colour_texture,
+    mean_colour,
+)
 
 _READ = {
     "KHR_materials_emissive_strength",
@@ -59,7 +67,8 @@ def _infos(material: dict[str, Any]) -> list[dict[str, Any]]:
     """The tables of a material's textures that are read, the one of its colour first."""
     other = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     table = material.get("pbrMetallicRoughness", {}) if other is None else other
-    return [table[key] for key in (*_COLOUR, _SURFACE) if key in table]
+    found = [table[key] for key in (*_COLOUR, _SURFACE) if key in table]
+    return found + [material[key] for key in ("emissiveTexture",) if key in material]
 
 
 def _set_of(info: dict[str, Any]) -> int:
@@ -112,7 +121,11 @@ class _Reader:
         else:
             found = self._specular_glossiness(other_model, tint)
         self._note_what_is_not_read()
-        return replace(found, emission=self._emission())
+        emission, texture = self._emission()
+        if texture is not None:
+            maps = found.maps or Maps(placement=self._placed[1])
+            found = replace(found, maps=replace(maps, emission=texture))
+        return replace(found, emission=emission)
 
     def _metallic_roughness(self, tint: Colour | None) -> FileMaterial:
         table = self._material.get("pbrMetallicRoughness", {})
@@ -124,7 +137,7 @@ class _Reader:
             metallic = 0.0
         dielectric = np.array(self._dielectric())
         if tint is None or colour is not None or surface is not None:
-            maps = Maps(colour, surface, metallic, self._placed[1])
+            maps = Maps(colour, surface, None, metallic, self._placed[1])
             return FileMaterial(self._name, three(base), three(dielectric), roughness, maps=maps)
         return FileMaterial(
             self._name,
@@ -191,19 +204,23 @@ class _Reader:
         albedo = three(diffuse * (1.0 - max(specular)))
         return FileMaterial(self._name, albedo, specular, roughness, maps=maps)
 
-    def _emission(self) -> Colour:
+    def _emission(self) -> tuple[Colour, Texture | None]:
+        """What the surface emits, and the texture that multiplies it."""
         factor = three(self._material.get("emissiveFactor", [0.0, 0.0, 0.0]))
         extension = self._extensions.get("KHR_materials_emissive_strength", {})
         strength = float(extension.get("emissiveStrength", 1.0))
-        if not any(factor):
-            return factor
-        if "emissiveTexture" in self._material:
-            image, *_ = self._image(self._material["emissiveTexture"])
-            mean = mean_colour(self._images, image)
-            kind = MISSING.format("0") if mean is None else MEANS
-            self._notes.look(kind, f"emissiveTexture of {self._name}")
-            factor = three(np.multiply(factor, 0.0 if mean is None else mean))
-        return three(np.multiply(factor, strength))
+        factor = three(np.multiply(factor, strength))
+        if not any(factor) or "emissiveTexture" not in self._material:
+            return factor, None
+        info = self._material["emissiveTexture"]
+        image, wrap, nearest = self._image(info)
+        texture = None if image is None else self._images.texture(image, "auto", wrap, nearest)
+        if texture is not None and (_set_of(info), _placement(info)) == self._placed:
+            return factor, texture
+        label = f"emissiveTexture of {self._name}"
+        self._notes.look(MISSING.format("0") if texture is None else MEAN_OF_OTHERS, label)
+        mean = mean_colour(self._images, image) or three(0.0)
+        return three(np.multiply(factor, mean)), None
 
     def _image(self, info: dict[str, Any]) -> tuple[Image, tuple[str, str], bool]:
         """An image, how it goes on beyond its sides, and whether its texels are rectangles."""

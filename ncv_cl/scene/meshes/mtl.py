@@ -24,6 +24,7 @@ from .common import (
 from .files import find_file, read_text
 from .mtl_texture import read_texture_statement
 from .textures import (
+    MEAN_OF_OTHERS,
     MEANS,
     MISSING,
     NO_METAL,
@@ -47,6 +48,8 @@ _METAL = {"pm", "map_pm", "map_rma", "map_orm"}
 _ROUGHNESS_MAPS = {"map_pr": 0, "map_rma": 0, "map_orm": 1}
 _METAL_MAPS = {"map_pm": 0, "map_rma": 1, "map_orm": 2}
 _READ_TEXTURES = {"map_kd", "map_ks", "map_ke", *_ROUGHNESS_MAPS, *_METAL_MAPS}
+# Where all of a material's textures lie is said by the first of these that it has.
+_PLACED = ("map_kd", *_ROUGHNESS_MAPS, *_METAL_MAPS, "map_ke")
 # Models without highlights, and those that let light through.
 _DIFFUSE, _TRANSPARENT = (0, 1), (4, 6, 7, 9)
 Statements = dict[str, str]
@@ -94,27 +97,52 @@ class MaterialReader:
     def material(self) -> FileMaterial:
         """The material; notes what it has that is not read."""
         colour = self._base_texture()
-        surface = self._surface_texture(colour)
+        surface = self._surface_texture()
         diffuse = self._diffuse(colour)
         specular = self._specular()
-        emission = self._times_mean("map_ke", self._colour("ke", float("map_ke" in self._statements)))
+        emission, glow = self._emission()
         exponent = self._number("ns", 0.0)
         # Blinn-Phong exponent to GGX: alpha = sqrt(2 / (Ns + 2)), roughness = sqrt(alpha).
-        roughness = 1.0 if surface is not None else (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25
+        roughness = (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25
+        if surface is not None and set(_ROUGHNESS_MAPS) & set(self._textures):
+            roughness = 1.0
         roughness = self._number("pr", roughness)
         self._note_what_is_not_read()
         metallic = self._metallic(surface) if _METAL & set(self._statements) else None
-        if colour is None and surface is None:
-            if metallic is not None:
-                diffuse, specular = metallic_model(diffuse, metallic)
-            return FileMaterial(self._name, diffuse, specular, roughness, emission)
-        if metallic is not None:
+        textures = (colour, surface, glow)
+        if metallic is not None and colour is None and surface is None:
+            diffuse, specular = metallic_model(diffuse, metallic)
+            metallic = 0.0
+        elif metallic is not None:
             specular = three(DIELECTRIC_REFLECTANCE)
-        statement = (
-            self._textures["map_kd"] if colour is not None else self._textures[self._surface_key()]
-        )
-        maps = Maps(colour, surface, metallic or 0.0, statement.placement)
+        maps = None
+        if any(one is not None for one in textures):
+            maps = Maps(*textures, metallic or 0.0, self._textures[self._first_key()].placement)
         return FileMaterial(self._name, diffuse, specular, roughness, emission, maps)
+
+    def _first_key(self) -> str:
+        """The statement of the texture where all others have to lie."""
+        return next(key for key in _PLACED if key in self._textures)
+
+    def _lies_with_the_first(self, *keys: str) -> bool:
+        first = self._textures[self._first_key()].placed
+        return all(self._textures[key].placed == first for key in keys)
+
+    def _emission(self) -> tuple[Colour, Texture | None]:
+        """Ke, and the texture that multiplies it."""
+        factor = self._colour("ke", float("map_ke" in self._statements))
+        if "map_ke" not in self._textures:
+            return factor, None
+        statement = self._textures["map_ke"]
+        image = find_file(self._folder, statement.file)
+        texture = None if image is None else self._images.texture(image, "auto", (statement.wrap,) * 2)
+        if texture is not None and self._lies_with_the_first("map_ke"):
+            return factor, texture
+        self._notes.look(
+            MISSING.format("0") if texture is None else MEAN_OF_OTHERS, self._label("map_ke")
+        )
+        mean = mean_colour(self._images, image) or three(0.0)
+        return three(np.multiply(factor, mean)), None
 
     def _metallic(self, surface: Texture | None) -> float:
         """Pm, or the factor of its texture; 0 under a texture that cannot be read."""
@@ -158,11 +186,7 @@ class MaterialReader:
             self._notes.look("options of textures that are not read", f"{statement.left_out} of {label}")
         return colour_texture(self._images, image, label, self._notes, (statement.wrap,) * 2)
 
-    def _surface_key(self) -> str:
-        """The statement of the texture of roughness and metal."""
-        return next(key for key in (*_ROUGHNESS_MAPS, *_METAL_MAPS) if key in self._textures)
-
-    def _surface_texture(self, colour: Texture | None) -> Texture | None:
+    def _surface_texture(self) -> Texture | None:
         """The texture of roughness and metal, where all its parts can be read and are placed alike."""
         wanted = [
             next((key for key in maps if key in self._textures), None)
@@ -171,11 +195,8 @@ class MaterialReader:
         keys = [key for key in wanted if key is not None]
         if not keys:
             return None
-        placed = {self._textures[key].placed for key in keys}
-        if colour is not None:
-            placed.add(self._textures["map_kd"].placed)
         labels = ", ".join(self._label(key) for key in keys)
-        if len(placed) > 1:
+        if not self._lies_with_the_first(*keys):
             self._notes.look(NOT_PLACED_ALIKE, labels)
             return None
         parts = [None if key is None else self._linear(key) for key in wanted]

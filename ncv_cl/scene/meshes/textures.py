@@ -16,6 +16,7 @@ from .common import Colour, FileMaterial, Notes, three
 Image = Path | bytes | None
 MISSING = "textures that are missing or cannot be read, in whose place {} stands"
 MEANS = "textures are not read, their mean colour stands for them"
+MEAN_OF_OTHERS = "textures that are not placed as the colour is, their mean colour stands for them"
 NOT_PLACED_ALIKE = "textures of metal that are not placed as the colour is, the surface is no metal"
 NO_METAL = "textures of metal that are missing or cannot be read, the surface is no metal"
 
@@ -74,13 +75,15 @@ def without_textures(material: FileMaterial, notes: Notes) -> FileMaterial:
         return material
     kind = "textures of meshes without texture coordinates, their mean stands for them"
     notes.look(kind, material.name)
-    white = np.ones(4)
-    colour = white if maps.colour is None else _mean(maps.colour.texels)
-    surface = white if maps.surface is None else _mean(maps.surface.texels)
+    colour, surface, emission = (
+        np.ones(4) if one is None else _mean(one.texels)
+        for one in (maps.colour, maps.surface, maps.emission)
+    )
     return replace(
         material,
         albedo=three(np.multiply(material.albedo, colour[:3])),
         roughness=float(material.roughness * surface[1]),
+        emission=three(np.multiply(material.emission, emission[:3])),
         maps=Maps(metallic=float(maps.metallic * surface[2])),
     )
 

@@ -29,29 +29,34 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
         # Of a scene that was built before.
         maps = table.raw("maps")
         if not isinstance(maps, Maps):
-            raise table.error("maps", "unknown key; textures are values of albedo and roughness")
+            raise table.error(
+                "maps", "unknown key; textures are values of albedo, roughness and emission"
+            )
         return maps, table
     found: dict[str, Texture] = {}
     placements: dict[str, tuple[float, ...]] = {}
     factors: dict[str, object] = {}
-    for key in ("albedo", "roughness"):
+    for key in ("albedo", "roughness", "emission"):
         value = table.raw(key) if key in table else None
         if isinstance(value, Texture):
             found[key], placements[key], factors[key] = value, AS_IT_IS, 1.0
         elif isinstance(value, dict):
             own = Table(table.source, f"{table.where}.{key}", value, _KEYS)
             # Roughness is no colour: its integers are not encoded as those of colours are.
-            default = "auto" if key == "albedo" else "linear"
+            default = "linear" if key == "roughness" else "auto"
             found[key] = _read_texture(own, images, default)
             placements[key] = _placement(own)
             factors[key] = own.raw("factor") if "factor" in own else 1.0
-        if key in found and not _in_range(found[key]):
+        if key in found and key != "emission" and not _in_range(found[key]):
             raise table.error(key, "the image holds values outside [0, 1]")
     if not found:
         return None, table
-    if len(set(placements.values())) > 1:
-        raise table.error("roughness", "its scale and offset must be those of albedo's texture")
-    maps = Maps(found.get("albedo"), found.get("roughness"), placement=next(iter(placements.values())))
+    first = next(iter(placements))
+    for key, placement in placements.items():
+        if placement != placements[first]:
+            raise table.error(key, f"its scale and offset must be those of {first}'s texture")
+    textures = (found.get(key) for key in ("albedo", "roughness", "emission"))
+    maps = Maps(*textures, placement=placements[first])
     return maps, table.replaced(factors)
 
 

@@ -19,11 +19,14 @@ class Surface:
     ----------
     albedo, reflectance : float64 (n, 3)
     roughness : float64 (n,)
+    emission_factor : float64 (n, 3)
+        What a texture multiplies the material's emission by.
     """
 
     albedo: NDArray[np.float64]
     reflectance: NDArray[np.float64]
     roughness: NDArray[np.float64]
+    emission_factor: NDArray[np.float64]
 
 
 def varies(scene: Scene) -> bool:
@@ -48,7 +51,7 @@ def surface_at(scene: Scene, triangle: NDArray, u: NDArray, v: NDArray) -> Surfa
     corners = scene.triangles[triangle]
     if scene.vertex_colours is not None:
         albedo *= _interpolated(scene.vertex_colours, corners, shares)
-    metallic = np.zeros(len(triangle))
+    metallic, emission_factor = np.zeros(len(triangle)), np.ones((len(triangle), 3))
     for index, one in enumerate(scene.materials):
         here = np.flatnonzero(material == index) if one.maps is not None else []
         if not len(here):
@@ -63,10 +66,11 @@ def surface_at(scene: Scene, triangle: NDArray, u: NDArray, v: NDArray) -> Surfa
             texel = maps.surface.at(uv)
             roughness[here] *= texel[:, 1]
             metallic[here] *= texel[:, 2]
+        if maps.emission is not None:
+            emission_factor[here] = maps.emission.at(uv)[:, :3]
     reflectance = reflectance * (1.0 - metallic)[:, None] + albedo * metallic[:, None]
-    return Surface(
-        albedo * (1.0 - metallic)[:, None], reflectance, np.clip(roughness, SMALLEST_ROUGHNESS, 1.0)
-    )
+    roughness = np.clip(roughness, SMALLEST_ROUGHNESS, 1.0)
+    return Surface(albedo * (1.0 - metallic)[:, None], reflectance, roughness, emission_factor)
 
 
 def _interpolated(rows: NDArray, corners: NDArray, shares: NDArray) -> NDArray[np.float64]:

@@ -132,6 +132,8 @@ class Maps:
         Multiplies the albedo.
     surface : Texture, optional
         Its green multiplies the roughness, its blue the metallic share; as in glTF.
+    emission : Texture, optional
+        Multiplies the emission.
     metallic : float
         In [0, 1].
     placement : tuple of six floats
@@ -140,6 +142,7 @@ class Maps:
 
     colour: Texture | None = None
     surface: Texture | None = None
+    emission: Texture | None = None
     metallic: float = 0.0
     placement: tuple[float, float, float, float, float, float] = AS_IT_IS
 
@@ -159,4 +162,5 @@ class Maps:
     @property
     def textures(self) -> tuple[Texture, ...]:
         """Those that there are."""
-        return tuple(one for one in (self.colour, self.surface) if one is not None)
+        found = (self.colour, self.surface, self.emission)
+        return tuple(one for one in found if one is not None)
