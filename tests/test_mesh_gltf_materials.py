@@ -17,6 +17,7 @@ from ncv_cl.scene.textures.surface import surface_at
 # sRGB (128, 32, 32), in linear light. Texels are halves, so within 2^-11 of that.
 BROWN = np.array([0.21586, 0.014444, 0.014444])
 OPAQUE = "materials that let light through are drawn opaque: 1 (w)"
+HALF_OPAQUE = "materials that blend are opaque, with holes where their opacity is below a half: 1 (w)"
 EMITS = "materials that emit, which integrand gi renders and direct refuses: 1 (w)"
 OTHERS = "textures that are not placed as the colour is, their mean colour stands for them: "
 NO_METAL = (
@@ -290,6 +291,47 @@ def test_an_emissive_texture_multiplies_the_factor(tmp_path: Path) -> None:
     found, said = read(tmp_path, material, gltf, **attributes)
     assert np.allclose(found.emission, BROWN * [20, 20, 10], rtol=2**-11)
     assert said == [OTHERS + "1 (emissiveTexture of w)", EMITS]
+
+
+def leaf(folder: Path) -> dict[str, str]:
+    """An image of two pixels, of alpha 102 and 204."""
+    write_image(folder / "leaf.png", np.array([[(9, 99, 9, 102), (9, 99, 9, 204)]], np.uint8))
+    content = base64.b64encode((folder / "leaf.png").read_bytes()).decode()
+    return {"uri": f"data:image/png;base64,{content}"}
+
+
+@pytest.mark.parametrize(
+    ("material", "cutoff", "sentences"),
+    [
+        ({"alphaMode": "OPAQUE"}, None, []),
+        ({}, None, []),
+        ({"alphaMode": "MASK"}, 0.5, []),
+        ({"alphaMode": "MASK", "alphaCutoff": 0.7}, 0.7, []),
+        # No texel is below.
+        ({"alphaMode": "MASK", "alphaCutoff": 0.3}, None, []),
+        ({"alphaMode": "BLEND"}, 0.5, [HALF_OPAQUE]),
+    ],
+)
+def test_alpha_of_a_texture_makes_holes(
+    tmp_path: Path, material: dict, cutoff: float | None, sentences: list[str]
+) -> None:
+    gltf, attributes = with_coordinates(leaf(tmp_path))
+    table = pbr(baseColorTexture={"index": 0}, metallicFactor=0)
+    found, said = read(tmp_path, material | table, gltf, **attributes)
+    assert said == sentences and (found.maps.opacity is not None) == (cutoff is not None)
+    assert load(tmp_path, "a.gltf", "").has_holes == (cutoff is not None)
+    if cutoff is not None:
+        assert found.maps.cutoff == cutoff and found.maps.opacity is found.maps.colour
+
+
+def test_the_factor_of_alpha_counts_where_a_material_masks(tmp_path: Path) -> None:
+    gltf, attributes = with_coordinates(leaf(tmp_path))
+    table = pbr(baseColorTexture={"index": 0}, baseColorFactor=[1, 1, 1, 0.5])
+    found, said = read(tmp_path, {"alphaMode": "MASK"} | table, gltf, **attributes)
+    # 0.5 * alpha < 0.5: all of it is a hole but where alpha is 1.
+    assert found.maps.cutoff == 1.0 and said == []
+    found, said = read(tmp_path, {"alphaMode": "BLEND"} | table, *with_coordinates(leaf(tmp_path))[:1])
+    assert OPAQUE in said
 
 
 def test_specular_glossiness_has_a_diffuse_texture(tmp_path: Path) -> None:

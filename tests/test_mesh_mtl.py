@@ -77,7 +77,12 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("Ps 0.5", "sheen is not read: 1 (m)"),
         ("foo 1 2\nbar", "keys of materials that are not known: 2 (foo of m, bar of m)"),
         ("map_Bump -bm 0.5 b.png", UNREAD + "1 (map_bump b.png of m)"),
-        ("map_d a.png\nnorm n.png", UNREAD + "2 (map_d a.png of m, norm n.png of m)"),
+        ("map_Tr a.png\nnorm n.png", UNREAD + "2 (map_tr a.png of m, norm n.png of m)"),
+        (
+            "map_d a.png",
+            "textures of opacity that are missing or not placed as the colour is, the surface is opaque: "
+            "1 (map_d a.png of m)",
+        ),
         ("illum abc", NO_NUMBERS + "1 (illum abc of m)"),
         ("Ns abc", NO_NUMBERS + "1 (ns abc of m)"),
         ("Ks spectral file.rfl 1", NO_NUMBERS + "1 (ks spectral file.rfl 1 of m)"),
@@ -174,6 +179,17 @@ def test_packed_textures_have_their_channels(tmp_path: Path) -> None:
     assert np.allclose(material.maps.surface.texels[0, 0, 1:3], 32 / 255, rtol=2**-11)
     material, _ = textured(tmp_path, "Kd 0.4\nmap_RMA brown.png")
     assert np.allclose(material.maps.surface.texels[0, 0, 1:3], [128 / 255, 32 / 255], rtol=2**-11)
+
+
+def test_a_texture_of_opacity_makes_holes(tmp_path: Path) -> None:
+    grey_image(tmp_path, "holes.png", [[0, 255]])
+    material, said = textured(tmp_path, "Kd 0.4\nmap_d -s 2 2 holes.png")
+    assert material.maps.opacity.texels[0, :, 3].tolist() == [0, 1] and material.maps.cutoff == 0.5
+    assert material.maps.placement[0] == 2 and material.maps.colour is None
+    assert said == [
+        "materials that blend are opaque, with holes where their opacity is below a half: 1 "
+        "(map_d holes.png of m)"
+    ]
 
 
 def test_textures_that_lie_otherwise_are_named(tmp_path: Path) -> None:

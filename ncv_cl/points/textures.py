@@ -19,6 +19,8 @@ TEXTURE = Record(
     {"first": 1, "width": 1, "height": 1, "wrap_u": 1, "wrap_v": 1, "nearest": 1},
     np.uint32,
 )
+# Those of `Maps` that kernels look up.
+KINDS = ("colour", "surface", "emission")
 # The index of what has no texture.
 NO_TEXTURE = -1
 
@@ -61,8 +63,9 @@ class Textures:
 
 
 def all_textures(scene: Scene) -> list[Texture]:
-    """The textures of a scene's materials, each once."""
-    return list(dict.fromkeys(one for material in scene.materials for one in material.textures))
+    """The textures of a scene's materials that kernels look up, each once."""
+    found = (getattr(m.maps, kind) for m in scene.materials if m.maps is not None for kind in KINDS)
+    return list(dict.fromkeys(one for one in found if one is not None))
 
 
 def texture_index(scene: Scene, kind: str) -> np.ndarray:

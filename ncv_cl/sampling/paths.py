@@ -77,7 +77,8 @@ class PathSource(SampleSource):
         self._triangles = HostArray.of(device, records)
         self._textures = Textures.of(device, scene)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
+        few = len(scene.triangles) <= visibility_tuning.MOST_CASTERS and not scene.has_holes
+        few = few and shadows_tested
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.

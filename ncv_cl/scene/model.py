@@ -199,6 +199,11 @@ class Scene:
     vertex_colours: NDArray[np.float32] | None = None
 
     @cached_property
+    def has_holes(self) -> bool:
+        """Whether rays pass surfaces where the opacity of a texture is too small."""
+        return any(one.maps is not None and one.maps.opacity is not None for one in self.materials)
+
+    @cached_property
     def bounds(self) -> NDArray[np.float32]:
         """Smallest and largest coordinates about `origin`, float32 (2, 3)."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])

@@ -21,6 +21,7 @@ from .common import (
 )
 from .gltf_buffers import Container
 from .textures import (
+    HALF_OPAQUE,
     MEAN_OF_OTHERS,
     MISSING,
     NO_METAL,
@@ -137,7 +138,8 @@ class _Reader:
             metallic = 0.0
         dielectric = np.array(self._dielectric())
         if tint is None or colour is not None or surface is not None:
-            maps = Maps(colour, surface, None, metallic, self._placed[1])
+            opacity, cutoff = self._opacity(colour, table.get("baseColorFactor"))
+            maps = Maps(colour, surface, None, opacity, metallic, cutoff, self._placed[1])
             return FileMaterial(self._name, three(base), three(dielectric), roughness, maps=maps)
         return FileMaterial(
             self._name,
@@ -162,6 +164,22 @@ class _Reader:
             self._notes.look(MISSING.format(f"{FALLBACK_ALBEDO:g}"), label)
             factor = factor * FALLBACK_ALBEDO
         return factor, texture
+
+    def _opacity(
+        self, colour: Texture | None, factor: list[float] | None
+    ) -> tuple[Texture | None, float]:
+        """The texture whose alpha makes holes, if any does, and below which alpha."""
+        mode = self._material.get("alphaMode", "OPAQUE")
+        if colour is None or mode == "OPAQUE":
+            return None, 0.5
+        cutoff = 0.5
+        if mode == "MASK":
+            opacity = float((factor or [1.0] * 4)[3])
+            cutoff = float(self._material.get("alphaCutoff", 0.5)) / max(opacity, 1e-6)
+        lowest = float(colour.texels[:, :, 3].min())
+        if mode == "BLEND" and lowest < 1.0:
+            self._notes.look(HALF_OPAQUE, self._name)
+        return (colour, cutoff) if lowest < cutoff else (None, cutoff)
 
     def _surface(self, table: dict[str, Any]) -> Texture | None:
         """The texture of roughness and metal; None, and noted, where it cannot be read."""
@@ -200,7 +218,10 @@ class _Reader:
             self._notes.look(kind, self._name)
             specular = three(DIELECTRIC_REFLECTANCE)
         roughness = 1.0 - float(table.get("glossinessFactor", 1.0))
-        maps = Maps(colour, placement=self._placed[1]) if colour is not None else None
+        maps = None
+        if colour is not None:
+            opacity, cutoff = self._opacity(colour, table.get("diffuseFactor"))
+            maps = Maps(colour, opacity=opacity, cutoff=cutoff, placement=self._placed[1])
         albedo = three(diffuse * (1.0 - max(specular)))
         return FileMaterial(self._name, albedo, specular, roughness, maps=maps)
 
@@ -241,7 +262,7 @@ class _Reader:
         table = self._material.get("pbrMetallicRoughness", {})
         opacity = (table.get("baseColorFactor", [1.0]) + [1.0] * 3)[3]
         mode = self._material.get("alphaMode", "OPAQUE")
-        if mode != "OPAQUE" and (opacity < 1.0 or "baseColorTexture" in table):
+        if mode != "OPAQUE" and opacity < 1.0 and not (mode == "MASK" and "baseColorTexture" in table):
             look("materials that let light through are drawn opaque", name)
         for extension in self._extensions:
             if extension not in _READ:

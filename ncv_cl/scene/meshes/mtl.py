@@ -24,10 +24,12 @@ from .common import (
 from .files import find_file, read_text
 from .mtl_texture import read_texture_statement
 from .textures import (
+    HALF_OPAQUE,
     MEAN_OF_OTHERS,
     MEANS,
     MISSING,
     NO_METAL,
+    NO_OPACITY,
     NOT_PLACED_ALIKE,
     colour_texture,
     mean_colour,
@@ -47,9 +49,9 @@ _METAL = {"pm", "map_pm", "map_rma", "map_orm"}
 # Textures of roughness and of metal, and which channel of each counts.
 _ROUGHNESS_MAPS = {"map_pr": 0, "map_rma": 0, "map_orm": 1}
 _METAL_MAPS = {"map_pm": 0, "map_rma": 1, "map_orm": 2}
-_READ_TEXTURES = {"map_kd", "map_ks", "map_ke", *_ROUGHNESS_MAPS, *_METAL_MAPS}
+_READ_TEXTURES = {"map_kd", "map_ks", "map_ke", "map_d", *_ROUGHNESS_MAPS, *_METAL_MAPS}
 # Where all of a material's textures lie is said by the first of these that it has.
-_PLACED = ("map_kd", *_ROUGHNESS_MAPS, *_METAL_MAPS, "map_ke")
+_PLACED = ("map_kd", *_ROUGHNESS_MAPS, *_METAL_MAPS, "map_ke", "map_d")
 # Models without highlights, and those that let light through.
 _DIFFUSE, _TRANSPARENT = (0, 1), (4, 6, 7, 9)
 Statements = dict[str, str]
@@ -109,7 +111,7 @@ class MaterialReader:
         roughness = self._number("pr", roughness)
         self._note_what_is_not_read()
         metallic = self._metallic(surface) if _METAL & set(self._statements) else None
-        textures = (colour, surface, glow)
+        textures = (colour, surface, glow, self._opacity())
         if metallic is not None and colour is None and surface is None:
             diffuse, specular = metallic_model(diffuse, metallic)
             metallic = 0.0
@@ -117,8 +119,22 @@ class MaterialReader:
             specular = three(DIELECTRIC_REFLECTANCE)
         maps = None
         if any(one is not None for one in textures):
-            maps = Maps(*textures, metallic or 0.0, self._textures[self._first_key()].placement)
+            placement = self._textures[self._first_key()].placement
+            maps = Maps(*textures, metallic or 0.0, placement=placement)
         return FileMaterial(self._name, diffuse, specular, roughness, emission, maps)
+
+    def _opacity(self) -> Texture | None:
+        """The texture whose alpha, or grey, makes holes."""
+        if "map_d" not in self._textures:
+            return None
+        statement, label = self._textures["map_d"], self._label("map_d")
+        image = find_file(self._folder, statement.file)
+        texels = None if image is None else self._images.opacity(image)
+        if texels is None or not self._lies_with_the_first("map_d"):
+            self._notes.look(NO_OPACITY, label)
+            return None
+        self._notes.look(HALF_OPAQUE, label)
+        return Texture(texels, (statement.wrap,) * 2)
 
     def _first_key(self) -> str:
         """The statement of the texture where all others have to lie."""

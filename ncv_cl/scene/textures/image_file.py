@@ -53,6 +53,13 @@ class ImageFiles:
                 )
         return self._texels[key]
 
+    def opacity(self, image: Path | bytes) -> NDArray[np.float16] | None:
+        """An image's opacity as the alpha of `texels`: the image's own, or where it has none its red."""
+        texels = self.texels(image, "linear")
+        if texels is None or (texels[:, :, 3] < 1).any():
+            return texels
+        return np.ascontiguousarray(np.broadcast_to(texels[:, :, :1], texels.shape))
+
     def texture(
         self,
         image: Path | bytes,

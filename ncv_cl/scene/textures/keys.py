@@ -11,6 +11,8 @@ from .image_file import ENCODINGS, ImageFiles
 from .texture import AS_IT_IS, WRAPS, Maps, Texture
 
 _KEYS = ("file", "factor", "scale", "offset", "wrap", "filter", "encoding")
+# What may be a texture, in the order of `Maps`.
+_TEXTURED = ("albedo", "roughness", "emission", "opacity")
 _FILTERS = ("linear", "nearest")
 
 
@@ -36,31 +38,35 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
     found: dict[str, Texture] = {}
     placements: dict[str, tuple[float, ...]] = {}
     factors: dict[str, object] = {}
-    for key in ("albedo", "roughness", "emission"):
+    for key in _TEXTURED:
         value = table.raw(key) if key in table else None
         if isinstance(value, Texture):
             found[key], placements[key], factors[key] = value, AS_IT_IS, 1.0
         elif isinstance(value, dict):
             own = Table(table.source, f"{table.where}.{key}", value, _KEYS)
-            # Roughness is no colour: its integers are not encoded as those of colours are.
-            default = "linear" if key == "roughness" else "auto"
-            found[key] = _read_texture(own, images, default)
+            if key == "opacity" and "factor" in own:
+                raise own.error("factor", "opacity has none: below a half there is a hole")
+            # Roughness and opacity are no colours: their integers are not encoded as those of colours.
+            default = "auto" if key in ("albedo", "emission") else "linear"
+            found[key] = _read_texture(own, images, default, key == "opacity")
             placements[key] = _placement(own)
             factors[key] = own.raw("factor") if "factor" in own else 1.0
         if key in found and key != "emission" and not _in_range(found[key]):
             raise table.error(key, "the image holds values outside [0, 1]")
+        if key == "opacity" and key in table and key not in found:
+            raise table.error(key, "expected a table { file = ... }")
     if not found:
         return None, table
     first = next(iter(placements))
     for key, placement in placements.items():
         if placement != placements[first]:
             raise table.error(key, f"its scale and offset must be those of {first}'s texture")
-    textures = (found.get(key) for key in ("albedo", "roughness", "emission"))
+    textures = (found.get(key) for key in _TEXTURED)
     maps = Maps(*textures, placement=placements[first])
     return maps, table.replaced(factors)
 
 
-def _read_texture(table: Table, images: ImageFiles, encoding: str) -> Texture:
+def _read_texture(table: Table, images: ImageFiles, encoding: str, of_opacity: bool) -> Texture:
     wraps = table.raw("wrap") if "wrap" in table else "repeat"
     wraps = [wraps, wraps] if isinstance(wraps, str) else wraps
     if not (isinstance(wraps, list) and len(wraps) == 2 and all(one in WRAPS for one in wraps)):
@@ -71,12 +77,12 @@ def _read_texture(table: Table, images: ImageFiles, encoding: str) -> Texture:
     if not file.is_file():
         raise table.error("file", f"the image {file.name} does not exist")
     try:
-        texture = images.texture(file, encoding, (wraps[0], wraps[1]), nearest)
+        texels = images.opacity(file) if of_opacity else images.texels(file, encoding)
     except (ValueError, OSError) as error:
         raise table.error("file", f"{file.name}: {error}") from error
-    if texture is None:
+    if texels is None:
         raise table.error("file", f"{file.name} cannot be read as an image")
-    return texture
+    return Texture(texels, (wraps[0], wraps[1]), nearest)
 
 
 def _placement(table: Table) -> tuple[float, float, float, float, float, float]:

@@ -134,7 +134,9 @@ class Maps:
         Its green multiplies the roughness, its blue the metallic share; as in glTF.
     emission : Texture, optional
         Multiplies the emission.
-    metallic : float
+    opacity : Texture, optional
+        Where its alpha is below `cutoff` the surface has a hole.
+    metallic, cutoff : float
         In [0, 1].
     placement : tuple of six floats
         (a, b, c, d, e, f): textures are looked up at (a u + b v + c, d u + e v + f).
@@ -143,7 +145,9 @@ class Maps:
     colour: Texture | None = None
     surface: Texture | None = None
     emission: Texture | None = None
+    opacity: Texture | None = None
     metallic: float = 0.0
+    cutoff: float = 0.5
     placement: tuple[float, float, float, float, float, float] = AS_IT_IS
 
     def placed(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -162,5 +166,5 @@ class Maps:
     @property
     def textures(self) -> tuple[Texture, ...]:
         """Those that there are."""
-        found = (self.colour, self.surface, self.emission)
+        found = (self.colour, self.surface, self.emission, self.opacity)
         return tuple(one for one in found if one is not None)
