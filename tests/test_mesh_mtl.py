@@ -80,8 +80,8 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("map_Tr a.png\nnorm n.png", UNREAD + "2 (map_tr a.png of m, norm n.png of m)"),
         (
             "map_d a.png",
-            "textures of opacity that are missing or not placed as the colour is, the surface is opaque: "
-            "1 (map_d a.png of m)",
+            "textures of opacity that are missing or not placed as the colour is, the surface is "
+            "opaque: 1 (map_d a.png of m)",
         ),
         ("illum abc", NO_NUMBERS + "1 (illum abc of m)"),
         ("Ns abc", NO_NUMBERS + "1 (ns abc of m)"),
