@@ -1,8 +1,9 @@
 """A loaded scene in Mitsuba 3: meshes, materials, lights and camera rays as near as they can be.
 
 What is the same: triangles and vertex normals; Lambert (Mitsuba's own); GGX over Lambert (`bsdf.cl`'s
-formula as a BSDF plugin, since none of Mitsuba's has it; `llvm` variants only); black-body, one-sided
-area lights; the camera's rays, which go through the same sub-pixel centres.
+formula as a BSDF plugin, since none of Mitsuba's has it; `llvm` variants only); textures and colours of
+vertices of Lambert surfaces; black-body, one-sided area lights; the camera's rays, which go through the
+same sub-pixel centres.
 
 What is not:
 
@@ -89,7 +90,8 @@ class MitsubaScene:
     Raises
     ------
     NotImplementedError
-        For glossy materials in a ``scalar`` variant, and for materials that emit.
+        For glossy materials in a ``scalar`` variant, for materials that emit, and for textures of glossy
+        surfaces.
     """
 
     def __init__(self, mitsuba: ModuleType, scene: Scene, white_under_sky: bool = False) -> None:
@@ -124,9 +126,22 @@ class MitsubaScene:
         mi, scene = self.mitsuba, self.source
         used, faces = np.unique(triangles, return_inverse=True)
         properties = mi.Properties()
-        properties["mesh_bsdf"] = mi.load_dict(self._bsdf(material))
-        mesh = mi.Mesh(name, len(used), len(triangles), has_vertex_normals=smooth, props=properties)
+        coloured = scene.vertex_colours is not None and bool(np.any(scene.vertex_colours[used] != 1))
+        properties["mesh_bsdf"] = mi.load_dict(self._bsdf(material, coloured))
+        mesh = mi.Mesh(
+            name,
+            len(used),
+            len(triangles),
+            has_vertex_normals=smooth,
+            has_vertex_texcoords=bool(material.textures),
+            props=properties,
+        )
+        if coloured:
+            colours = material.albedo * scene.vertex_colours[used]
+            mesh.add_attribute("vertex_color", 3, colours.astype(np.float32).ravel())
         parameters = mi.traverse(mesh)
+        if material.textures:
+            parameters["vertex_texcoords"] = scene.vertex_uv[used].ravel()
         parameters["vertex_positions"] = scene.vertices[used].ravel()
         if smooth:
             parameters["vertex_normals"] = scene.vertex_normals[used].ravel()
@@ -134,11 +149,13 @@ class MitsubaScene:
         parameters.update()
         return mesh
 
-    def _bsdf(self, material: Material) -> dict[str, object]:
+    def _bsdf(self, material: Material, coloured: bool = False) -> dict[str, object]:
         if self.white_under_sky:
             return _lambert(np.ones(3))
         if np.any(getattr(material, "emission", 0.0)):
             raise NotImplementedError("Mitsuba's meshes emit from one side, ours from both")
+        if coloured or material.maps is not None:
+            return self._varying(material, coloured)
         if not np.any(material.reflectance):
             return _lambert(material.albedo)
         if not self.llvm:
@@ -152,6 +169,28 @@ class MitsubaScene:
             "reflectance": _rgb(material.reflectance),
             "roughness": material.roughness,
         }
+
+    def _varying(self, material: Material, coloured: bool) -> dict[str, object]:
+        """Lambert whose albedo is that of a texture, or of colours of vertices."""
+        texture = material.maps.colour if material.maps is not None else None
+        if material.has_lobe or (coloured and texture is not None):
+            raise NotImplementedError(
+                "textures are compared on Lambert, and without colours of vertices"
+            )
+        if texture is None:
+            return _lambert({"type": "mesh_attribute", "name": "vertex_color"})
+        if len(set(texture.wrap)) > 1:
+            raise NotImplementedError("Mitsuba's images go on alike along both axes")
+        # Its first row is at v = 0, as of texels.
+        texels = material.albedo * texture.texels[:, :, :3].astype(np.float32)
+        image = {
+            "type": "bitmap",
+            "bitmap": self.mitsuba.Bitmap(np.ascontiguousarray(texels)),
+            "raw": True,
+            "filter_type": "nearest" if texture.nearest else "bilinear",
+            "wrap_mode": texture.wrap[0],
+        }
+        return _lambert(image)
 
     def _light(self, number: int, light: QuadLight) -> dict[str, object]:
         """Emitting and black, or white without light under the sky."""
@@ -270,6 +309,8 @@ def _rgb(colour: np.ndarray) -> dict[str, object]:
     return {"type": "rgb", "value": [float(x) for x in colour]}
 
 
-def _lambert(albedo: np.ndarray) -> dict[str, object]:
-    lambert = {"type": "diffuse", "reflectance": _rgb(albedo)}
+def _lambert(albedo: np.ndarray | dict[str, object]) -> dict[str, object]:
+    """Of an albedo or of a texture of Mitsuba's."""
+    reflectance = albedo if isinstance(albedo, dict) else _rgb(albedo)
+    lambert = {"type": "diffuse", "reflectance": reflectance}
     return {"type": "twosided", "material": lambert}

@@ -22,6 +22,7 @@ from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
+from .scene.textures.texture import Texture
 from .scene.uv_mesh import BakeError, UVMesh
 from .sensing.bake import bake
 from .sensing.bake_vertices import bake_vertices
@@ -56,6 +57,7 @@ __all__ = [
     "SceneError",
     "Stopping",
     "Subdivision",
+    "Texture",
     "Training",
     "TriangleMesh",
     "UVMesh",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fitting import fitting
+from mesh_files import write_image
 
 from ncv_cl import (
     AmbientOcclusion,
@@ -72,6 +73,11 @@ material = "floor"
 """
 )
 
+# An image on a matte and on a glossy floor, beside colours of vertices.
+TEXTURED = MATTE.replace("albedo = [0.2, 0.5, 0.7]", 'albedo = { file = "image.exr" }')
+COLOURED = '[[meshes]]\nfile = "coloured.obj"\n'
+VERTICES = "v -1 0.5 0 1 0 0\nv 1 0.5 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n"
+
 
 def render_everything(device: Device, folder: Path) -> None:
     """Renders that between them build every program of a render."""
@@ -86,7 +92,16 @@ def render_everything(device: Device, folder: Path) -> None:
         (MANY, GlobalIllumination(3)),
         (MATTE, GlobalIllumination(2, direct=False)),
         (GLOWING, GlobalIllumination(4)),
+        (TEXTURED, GlobalIllumination(3)),
+        (
+            TEXTURED.replace("[[quads]]", "reflectance = 0.2\n[[quads]]") + COLOURED,
+            GlobalIllumination(3),
+        ),
+        (GLOSSY + COLOURED, GlobalIllumination(3)),
+        (TEXTURED.replace("[[quads]]", "emission = 2\n[[quads]]"), GlobalIllumination(3)),
     ]
+    write_image(folder / "image.exr", np.full((2, 3, 3), 0.5, np.float32), "half")
+    (folder / "coloured.obj").write_text(VERTICES)
     options = zip(itertools.cycle(SAMPLERS), itertools.cycle(sorted(PRESETS)), strict=True)
     for (text, integrand), (sampler, preset) in zip(cases, options, strict=False):
         scene = folder / "scene.toml"

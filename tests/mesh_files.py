@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 
 from ncv_cl.scene.load import Material, Scene, load_scene
 
@@ -197,6 +198,15 @@ def write_and_load(folder: Path, gltf: Gltf, primitives: list[dict], **tree: obj
     gltf.tree |= tree
     gltf.write(folder / "a.gltf")
     return load(folder, "a.gltf")
+
+
+def write_image(path: Path, pixels: np.ndarray, kind: str = "uint8") -> None:
+    """A file of an array (height, width, channels), the uppermost row first."""
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], kind)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.ascontiguousarray(pixels)) and output.close()
 
 
 def png_bytes(red: int, green: int, blue: int) -> bytes:

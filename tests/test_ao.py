@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from reference import (
     unit,
 )
 
+from ncv_cl import render
 from ncv_cl.integrands import AmbientOcclusion, IntegrandError
 from ncv_cl.integrands.ao import MAPPINGS
 from ncv_cl.sampling.samples import NO_RAY
@@ -131,3 +133,28 @@ def test_a_bad_radius_is_refused(radius):
 def test_an_unknown_mapping_is_refused_with_the_choices():
     with pytest.raises(IntegrandError, match="height, cosine, got 'sphere'"):
         AmbientOcclusion(mapping="sphere")
+
+
+@pytest.mark.parametrize(
+    "radius, height, dark", [(math.inf, 1, True), (0.5, 1, False), (math.inf, 10, False)]
+)
+def test_a_black_picture_names_the_radius(device, radius, height, dark):
+    """Between plates nothing of the sky is seen; a far plate hides less of it."""
+    scene, integrand = between_plates(height, radius, "height")
+    options = {"method": "mc", "spp": 16, "size": (4, 4), "device": device}
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        image = render(scene, integrand, **options)
+    assert (image.pixels.mean() < 0.05) == dark
+    assert [("--radius" in str(one.message), one.filename == __file__) for one in said] == [
+        (True,) * 2
+    ] * dark
+
+
+def test_a_small_object_that_is_lit_is_not_black(device):
+    """What the camera sees of the background does not count."""
+    scene = mesh_scene(quad([-1, -1, 0], [2, 0, 0], [0, 2, 0]), camera_at([0, 0, 20], [0, 0, 0], 60))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        image = render(scene, "ao", "mc", spp=4, size=(16, 16), device=device)
+    assert 0 < image.pixels.mean() < 0.05

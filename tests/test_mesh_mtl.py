@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 import pytest
-from mesh_files import load, obj_text, own_materials, png_bytes
+from mesh_files import load, obj_text, own_materials, png_bytes, write_image
 
 from ncv_cl.scene.load import Material
+from ncv_cl.scene.textures.texture import AS_IT_IS
 
 TRIANGLE = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
-# sRGB (128, 32, 32), in linear light.
 OPAQUE = "materials that let light through are drawn opaque: 1 (m)"
 UNREAD = "textures are not read, the surface is as without them: "
 NO_NUMBERS = "keys of materials whose values are no numbers, as if they were absent: "
+# sRGB (128, 32, 32), in linear light. Texels are halves, so within 2^-11 of that.
 BROWN = [0.21586, 0.014444, 0.014444]
 
 
@@ -77,7 +77,12 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("Ps 0.5", "sheen is not read: 1 (m)"),
         ("foo 1 2\nbar", "keys of materials that are not known: 2 (foo of m, bar of m)"),
         ("map_Bump -bm 0.5 b.png", UNREAD + "1 (map_bump b.png of m)"),
-        ("map_d a.png\nnorm n.png", UNREAD + "2 (map_d a.png of m, norm n.png of m)"),
+        ("map_Tr a.png\nnorm n.png", UNREAD + "2 (map_tr a.png of m, norm n.png of m)"),
+        (
+            "map_d a.png",
+            "textures of opacity that are missing or not placed as the colour is, the surface is "
+            "opaque: 1 (map_d a.png of m)",
+        ),
         ("illum abc", NO_NUMBERS + "1 (illum abc of m)"),
         ("Ns abc", NO_NUMBERS + "1 (ns abc of m)"),
         ("Ks spectral file.rfl 1", NO_NUMBERS + "1 (ks spectral file.rfl 1 of m)"),
@@ -102,22 +107,98 @@ def test_colours_beyond_one_are_clamped_and_named(tmp_path: Path) -> None:
     assert said == ["materials with colours outside [0, 1], which are clamped: 1 (m)"]
 
 
+def textured(folder: Path, text: str) -> tuple[Material, list[str]]:
+    """The material `m` of a library on a triangle with texture coordinates, and what was said."""
+    (folder / "brown.png").write_bytes(png_bytes(128, 32, 32))
+    (folder / "m.mtl").write_text(f"newmtl m\n{text}\n")
+    corners = "vt 0 0\nvt 1 0\nvt 0 1\n" + "".join("v {} {} {}\n".format(*p) for p in TRIANGLE)
+    (folder / "m.obj").write_text(f"mtllib m.mtl\nusemtl m\n{corners}f 1/1 2/2 3/3\n")
+    (material,), said = own_materials(folder, "m.obj")
+    return material, said
+
+
 @pytest.mark.parametrize(
-    ("text", "albedo"),
+    ("text", "albedo", "placement", "wrap"),
     [
-        ("Kd 1 1 1\nmap_Kd brown.png", BROWN),
-        ("map_Kd brown.png", BROWN),
-        ("Kd 0.5 1 1\nmap_Kd -s 2 2 -o 0.5 -clamp on brown.png", [BROWN[0] / 2, *BROWN[1:]]),
-        ("map_Kd -mm 0 1 sub\\Brown.PNG", BROWN),
+        ("Kd 1 1 1\nmap_Kd brown.png", 1, AS_IT_IS, "repeat"),
+        ("map_Kd brown.png", 1, AS_IT_IS, "repeat"),
+        (
+            "Kd 0.5 1 1\nmap_Kd -s 2 3 -o 0.5 -clamp on brown.png",
+            [0.5, 1, 1], (2, 0, 0.5, 0, 3, 0), "clamp",
+        ),
+        ("map_Kd -mm 0 1 -bm 2 -blendu on -texres 64 sub\\Brown.PNG", 1, AS_IT_IS, "repeat"),
     ],
-)
-def test_the_mean_of_a_texture_stands_for_it(tmp_path: Path, text: str, albedo: list[float]) -> None:
+)  # fmt: skip
+def test_a_texture_of_kd_is_read(
+    tmp_path: Path, text: str, albedo: object, placement: tuple[float, ...], wrap: str
+) -> None:
+    material, said = textured(tmp_path, text)
+    assert said == [] and np.allclose(material.albedo, albedo)
+    assert material.maps.placement == placement and material.maps.metallic == 0
+    assert material.maps.colour.wrap == (wrap, wrap) and not material.maps.colour.nearest
+    assert np.allclose(material.maps.colour.texels[0, 0], [*BROWN, 1], rtol=2**-11)
+
+
+def test_a_mesh_without_coordinates_gets_the_mean_of_its_texture(tmp_path: Path) -> None:
     (tmp_path / "brown.png").write_bytes(png_bytes(128, 32, 32))
-    material, said = read(tmp_path, text)
-    assert np.allclose(material.albedo, albedo, atol=1e-5)
-    (sentence,) = said
-    assert sentence.startswith("textures are not read, their mean colour stands for them: 1 (map_Kd ")
-    assert sentence.lower().endswith("brown.png of m)")
+    material, said = read(tmp_path, "Kd 0.5 1 1\nmap_Kd brown.png")
+    assert np.allclose(material.albedo, [BROWN[0] / 2, *BROWN[1:]], rtol=2**-11)
+    assert material.textures == ()
+    assert said == ["textures of meshes without texture coordinates, their mean stands for them: 1 (m)"]
+
+
+@pytest.mark.parametrize("option", ["-mm 0.2 0.5", "-t 1 1 1", "-unknown 3"])
+def test_options_that_change_an_image_and_are_not_read_are_named(tmp_path: Path, option: str) -> None:
+    _, said = textured(tmp_path, f"map_Kd {option} brown.png")
+    assert said == [f"options of textures that are not read: 1 ({option} of map_Kd brown.png of m)"]
+
+
+def grey_image(folder: Path, name: str, rows: list[list[int]]) -> None:
+    """A PNG of one channel; the uppermost row first."""
+    write_image(folder / name, np.array(rows, np.uint8)[:, :, None])
+
+
+def test_textures_of_roughness_and_metal_become_one(tmp_path: Path) -> None:
+    grey_image(tmp_path, "rough.png", [[51, 102], [153, 204]])
+    grey_image(tmp_path, "metal.png", [[255]])
+    material, said = textured(tmp_path, "Kd 0.4\nPr 0.5\nmap_Pr rough.png\nmap_Pm metal.png")
+    surface = material.maps.surface.texels.astype(float)
+    assert said == [] and material.maps.metallic == 1 and material.roughness == 0.5
+    assert np.allclose(surface[:, :, 1], [[0.6, 0.8], [0.2, 0.4]], rtol=2**-11)
+    assert (surface[:, :, 2] == 1).all() and np.allclose(material.reflectance, 0.04)
+    # The numbers are factors where there are images, and 1 by default.
+    material, _ = textured(tmp_path, "Kd 0.4\nKs 0.3\nmap_Pr rough.png")
+    assert material.maps.metallic == 0 and material.roughness == 1
+    assert np.allclose(material.reflectance, 0.3)
+    material, _ = textured(tmp_path, "Kd 0.4\nPm 0.25\nmap_Pm metal.png")
+    assert material.maps.metallic == 0.25
+
+
+def test_packed_textures_have_their_channels(tmp_path: Path) -> None:
+    material, _ = textured(tmp_path, "Kd 0.4\nmap_ORM brown.png")
+    assert np.allclose(material.maps.surface.texels[0, 0, 1:3], 32 / 255, rtol=2**-11)
+    material, _ = textured(tmp_path, "Kd 0.4\nmap_RMA brown.png")
+    assert np.allclose(material.maps.surface.texels[0, 0, 1:3], [128 / 255, 32 / 255], rtol=2**-11)
+
+
+def test_a_texture_of_opacity_makes_holes(tmp_path: Path) -> None:
+    grey_image(tmp_path, "holes.png", [[0, 255]])
+    material, said = textured(tmp_path, "Kd 0.4\nmap_d -s 2 2 holes.png")
+    assert material.maps.opacity.texels[0, :, 3].tolist() == [0, 1] and material.maps.cutoff == 0.5
+    assert material.maps.placement[0] == 2 and material.maps.colour is None
+    assert said == [
+        "materials that blend are opaque, with holes where their opacity is below a half: 1 "
+        "(map_d holes.png of m)"
+    ]
+
+
+def test_textures_that_lie_otherwise_are_named(tmp_path: Path) -> None:
+    material, said = textured(tmp_path, "Kd 0.4\nmap_Kd brown.png\nmap_Pm -s 2 2 brown.png")
+    assert material.maps.surface is None and material.maps.metallic == 0
+    assert said == [
+        "textures of metal that are not placed as the colour is, the surface is no metal: 1 "
+        "(map_pm brown.png of m)"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -137,23 +218,19 @@ def test_means_are_taken_in_linear_light(
     bright = [0.5, 5.0 if name == "t.exr" else 1.0, 0.0, 0.4][:channels]
     pixels = np.array([[bright, [0.0, 0.0, 0.0, 0.6][:channels]]], dtype=np.float32)
     kind = {"t.exr": "half", "t.png": "uint16", "t.tif": "uint16"}[name]
-    output = oiio.ImageOutput.create(str(tmp_path / name))
-    spec = oiio.ImageSpec(2, 1, channels, kind)
-    spec.attribute("oiio:UnassociatedAlpha", 1)
-    assert output.open(str(tmp_path / name), spec)
-    assert output.write_image(pixels) and output.close()
+    write_image(tmp_path / name, pixels, kind)
     material, said = read(tmp_path, f"Ke 1 1 1\nKd 0\nmap_Ke {name}")
     assert np.allclose(material.emission, expected, rtol=0.01)
-    assert f"map_Ke {name} of m" in said[0]
+    assert said[1] == "textures of meshes without texture coordinates, their mean stands for them: 1 (m)"
 
 
 def test_a_black_factor_does_not_hide_a_texture(tmp_path: Path) -> None:
     (tmp_path / "brown.png").write_bytes(png_bytes(128, 32, 32))
     material, said = read(tmp_path, "Kd 0 0 0\nmap_Kd brown.png")
-    assert np.allclose(material.albedo, BROWN, atol=1e-5)
+    assert np.allclose(material.albedo, BROWN, rtol=2**-11)
     assert said == [
         "materials with a black Kd beside a texture, which is taken for white: 1 (m)",
-        "textures are not read, their mean colour stands for them: 1 (map_Kd brown.png of m)",
+        "textures of meshes without texture coordinates, their mean stands for them: 1 (m)",
     ]
 
 
@@ -173,17 +250,28 @@ def test_under_a_metal_texture_the_surface_is_no_metal(tmp_path: Path) -> None:
     assert np.allclose(material.albedo, 0.4) and np.allclose(material.reflectance, 0.04)
     assert material.roughness == pytest.approx(0.5)
     assert said == [
-        "textures are not read, the surface is as without them: 2 "
-        "(map_pm metal.png of m, map_pr rough.png of m)"
+        "textures of metal that are missing or cannot be read, the surface is no metal: 1 "
+        "(map_pr rough.png of m, map_pm metal.png of m)"
     ]
 
 
 def test_emission_and_highlights_have_textures_too(tmp_path: Path) -> None:
     (tmp_path / "brown.png").write_bytes(png_bytes(128, 32, 32))
     material, said = read(tmp_path, "Kd 0.4\nmap_Ks brown.png\nKe 10 10 10\nmap_Ke brown.png")
-    assert np.allclose(material.reflectance, BROWN, atol=1e-5)
-    assert np.allclose(material.emission, 10 * np.array(BROWN), atol=1e-4)
-    assert said[0].startswith("textures are not read, their mean colour stands for them: 2 (map_Ks ")
+    assert np.allclose(material.reflectance, BROWN, rtol=2**-11)
+    assert np.allclose(material.emission, 10 * np.array(BROWN), rtol=2**-11)
+    assert said[0] == (
+        "textures are not read, their mean colour stands for them: 1 (map_Ks brown.png of m)"
+    )
+    material, said = textured(tmp_path, "Kd 0.4\nKe 10 10 10\nmap_Ke -s 2 2 brown.png")
+    assert material.emission.tolist() == [10, 10, 10] and material.maps.placement[0] == 2
+    assert np.allclose(material.maps.emission.texels[0, 0, :3], BROWN, rtol=2**-11)
+    material, said = textured(tmp_path, "map_Kd brown.png\nKe 10 10 10\nmap_Ke -s 2 2 brown.png")
+    assert np.allclose(material.emission, 10 * np.array(BROWN), rtol=2**-11)
+    assert said[0] == (
+        "textures that are not placed as the colour is, their mean colour stands for them: 1 "
+        "(map_Ke brown.png of m)"
+    )
 
 
 def test_many_names_are_counted_and_the_first_are_listed(tmp_path: Path) -> None:

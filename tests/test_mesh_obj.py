@@ -7,7 +7,7 @@ from pathlib import Path
 import mesh_files
 import numpy as np
 import pytest
-from mesh_files import L_SHAPE, SQUARE, load, own_materials, same_surface
+from mesh_files import L_SHAPE, SQUARE, load, own_materials, png_bytes, same_surface
 
 from ncv_cl.scene.load import SceneError
 
@@ -181,18 +181,16 @@ def test_names_may_hold_blanks_and_number_signs(tmp_path: Path) -> None:
     assert [m.name for m in materials] == ["m.obj:Material #25", "m.obj:Material #26"] and said == []
 
 
-def test_colours_of_vertices_become_their_mean(tmp_path: Path) -> None:
-    # A triangle of three times the area counts three times as much. 0.5 in sRGB is 0.214 in light.
-    (tmp_path / "c.obj").write_text(
-        "v 0 0 0 0.5 0 1\nv 1 0 0 0.5 0 1\nv 0 1 0 0.5 0 1\n"
-        "v 5 0 0 0 0 1\nv 8 0 0 0 0 1\nv 5 1 0 0 0 1\nf 1 2 3\nf 4 5 6\n"
-    )
-    materials, said = own_materials(tmp_path, "c.obj")
-    assert said == ["colours of vertices are not read, their mean stands for them: 6"]
-    assert np.allclose(materials[0].albedo, [0.25 * ((0.5 + 0.055) / 1.055) ** 2.4, 0, 1], atol=1e-6)
+def test_colours_of_vertices_vary_over_the_surface(tmp_path: Path) -> None:
+    # 0.5 in sRGB is 0.214 in light.
+    (tmp_path / "c.obj").write_text("v 0 0 0 0.5 0 1\nv 1 0 0 0.5 0 1\nv 0 1 0 0 0 1\nf 1 2 3\n")
+    scene = load(tmp_path, "c.obj", "")
+    half = ((0.5 + 0.055) / 1.055) ** 2.4
+    assert scene.warnings == () and (scene.materials[1].albedo == 1).all()
+    np.testing.assert_allclose(scene.vertex_colours, [[half, 0, 1], [half, 0, 1], [0, 0, 1]], rtol=1e-6)
     (tmp_path / "c.obj").write_text(V.replace("\n", " 255 0 0\n") + "f 1 2 3 4\n")
-    materials, _ = own_materials(tmp_path, "c.obj")
-    assert np.allclose(materials[0].albedo, [1, 0, 0])
+    materials, said = own_materials(tmp_path, "c.obj")
+    assert np.allclose(materials[0].albedo, [1, 0, 0]) and said == []
     (tmp_path / "m.mtl").write_text("newmtl red\nKd 0.8 0.1 0.1\n")
     (tmp_path / "c.obj").write_text(
         "mtllib m.mtl\nusemtl red\n" + V.replace("\n", " 0 1 0\n") + "f 1 2 3 4\n"
@@ -200,6 +198,30 @@ def test_colours_of_vertices_become_their_mean(tmp_path: Path) -> None:
     materials, said = own_materials(tmp_path, "c.obj")
     assert np.allclose(materials[0].albedo, [0.8, 0.1, 0.1])
     assert said == ["colours of vertices are left out beside a material: 1 (red)"]
+
+
+def test_texture_coordinates_split_vertices_where_they_differ(tmp_path: Path) -> None:
+    """Two triangles over a seam: corners that differ in vt are vertices of their own."""
+    (tmp_path / "white.png").write_bytes(png_bytes(255, 255, 255))
+    (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd -s 2 1 white.png\nnewmtl plain\nKd 1\n")
+    coordinates = "vt 0 0\nvt 1 0 0\nvt 1 1\nvt 0 1\nvt 0.5\n"
+    text = f"mtllib m.mtl\n{V}{coordinates}usemtl m\nf 1/1 2/2 3/3\nf 1/5 3/-3 4/4\n"
+    (tmp_path / "s.obj").write_text(text)
+    scene = load(tmp_path, "s.obj", "")
+    assert scene.warnings == () and len(scene.vertices) == 5
+    found = scene.vertex_uv[scene.triangles]
+    expected = np.array([[[0, 0], [2, 0], [2, 1]], [[1, 0], [2, 1], [0, 1]]])
+    # Where images are repeated, all may be moved by two of them.
+    shift = found[0, 0] - expected[0, 0]
+    np.testing.assert_allclose(found - shift, expected)
+    assert (shift % 2 == 0).all()
+    # Of a material without a texture they are not looked at, right or wrong.
+    (tmp_path / "s.obj").write_text(text.replace("usemtl m", "usemtl plain").replace("1/5", "1/99"))
+    scene = load(tmp_path, "s.obj", "")
+    assert scene.vertex_uv is None and len(scene.vertices) == 4
+    (tmp_path / "s.obj").write_text(text.replace("1/5", "1/99"))
+    with pytest.raises(SceneError, match=r"line 13: .* a texture coordinate that does not exist"):
+        load(tmp_path, "s.obj", "")
 
 
 def test_what_is_left_out_is_counted_by_kind(tmp_path: Path) -> None:

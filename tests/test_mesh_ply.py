@@ -8,7 +8,7 @@ from pathlib import Path
 import mesh_files
 import numpy as np
 import pytest
-from mesh_files import L_SHAPE, SQUARE, load, own_materials, ply_bytes, same_surface
+from mesh_files import L_SHAPE, SQUARE, load, own_materials, ply_bytes, png_bytes, same_surface
 
 from ncv_cl.scene.load import SceneError
 
@@ -18,6 +18,7 @@ MIXED = [[tuple(p) for p in SQUARE.tolist()], TRIANGLE, [(x + 9, y, z) for x, y,
 HEAD = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
 FACES = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
 POINTS = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n"
+UV = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -89,7 +90,7 @@ def test_normals_of_vertices_are_used(tmp_path: Path) -> None:
     [("uchar", 128, 0.21586), ("float", 0.5, 0.21404), ("ushort", 65535, 1.0)],
 )
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
-def test_colours_become_their_mean_and_it_is_said(
+def test_one_colour_of_all_vertices_is_the_albedo(
     tmp_path: Path, kind: str, value: float, linear: float, prefix: str
 ) -> None:
     channels = "".join(f"property {kind} {prefix}{c}\n" for c in ("red", "green", "blue", "alpha"))
@@ -97,20 +98,56 @@ def test_colours_become_their_mean_and_it_is_said(
     (tmp_path / "c.ply").write_text(HEAD + channels + FACES + points + "4 0 1 2 3\n")
     (material,), said = own_materials(tmp_path, "c.ply")
     assert np.allclose(material.albedo, [linear, 0, 0], atol=1e-5) and material.roughness == 1.0
-    assert said == ["colours of vertices are not read, their mean stands for them: 4"]
-    assert load(tmp_path, "c.ply").warnings == ()
+    assert said == [] and load(tmp_path, "c.ply", "").vertex_colours is None
+    assert load(tmp_path, "c.ply").materials[0].name == "grey"
 
 
-def test_colours_of_faces_count_by_area(tmp_path: Path) -> None:
+def test_colours_of_vertices_vary_over_the_surface(tmp_path: Path) -> None:
+    channels = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    points = "".join(
+        f"{line} {value} 0 255\n"
+        for line, value in zip(POINTS.splitlines(), (0, 128, 255, 0), strict=True)
+    )
+    (tmp_path / "c.ply").write_text(HEAD + channels + FACES + points + "4 0 1 2 3\n")
+    scene = load(tmp_path, "c.ply", "")
+    assert scene.warnings == () and (scene.materials[1].albedo == 1).all()
+    expected = [[0, 0, 1], [0.21586, 0, 1], [1, 0, 1], [0, 0, 1]]
+    np.testing.assert_allclose(scene.vertex_colours, expected, atol=1e-5)
+    assert load(tmp_path, "c.ply").vertex_colours is None
+
+
+def test_colours_of_faces_stay_on_their_faces(tmp_path: Path) -> None:
     faces = FACES.replace("face 1", "face 2").replace(
         "end_header", "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header"
     )
     points = "0 0 0\n3 0 0\n0 1 0\n0 -1 0\n"
     text = HEAD + faces + points + "3 0 1 2 255 0 0\n4 0 3 1 2 0 255 0\n"
     (tmp_path / "f.ply").write_text(text)
-    (material,), said = own_materials(tmp_path, "f.ply")
-    assert np.allclose(material.albedo, [1 / 3, 2 / 3, 0])
-    assert said == ["colours of faces are not read, their mean stands for them: 2"]
+    scene = load(tmp_path, "f.ply", "")
+    assert scene.warnings == () and len(scene.triangles) == 3
+    expected = [[1, 0, 0], [0, 1, 0], [0, 1, 0]]
+    for triangle, colour in zip(scene.triangles, expected, strict=True):
+        assert (scene.vertex_colours[triangle] == colour).all()
+
+
+@pytest.mark.parametrize("names", [("u", "v"), ("s", "t"), ("texture_u", "texture_v")])
+def test_a_texture_file_lies_on_the_coordinates_of_vertices(
+    tmp_path: Path, names: tuple[str, str]
+) -> None:
+    (tmp_path / "wood.png").write_bytes(png_bytes(128, 32, 32))
+    head = HEAD.replace("element", "comment TextureFile wood.png\nelement", 1)
+    head += "".join(f"property float {name}\n" for name in names) + FACES
+    points = "".join(
+        f"{line} {u} {v}\n" for line, (u, v) in zip(POINTS.splitlines(), UV.tolist(), strict=True)
+    )
+    (tmp_path / "t.ply").write_text(head + points + "4 0 1 2 3\n")
+    scene = load(tmp_path, "t.ply", "")
+    assert scene.warnings == () and (scene.vertex_uv == UV).all()
+    assert scene.materials[1].maps.colour.texels.shape == (1, 1, 4)
+    (tmp_path / "wood.png").unlink()
+    scene = load(tmp_path, "t.ply", "")
+    (said,) = (one for one in scene.warnings if "TextureFile" in one)
+    assert "missing or cannot be read, in whose place 0.5 stands: 1 (TextureFile wood.png)" in said
 
 
 def test_textures_and_other_elements_are_named(tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from mesh_files import write_image
 from test_certificate import TORTURE_NAMES
 
 import ncv_cl
@@ -83,6 +85,28 @@ def test_simulator_finds_no_fault_with_several_lights(integrand, more, vec, lane
     lamps = "".join(lamp.format(0.2 * k) for k in range(more))
     scene.write_text((scenes / "interior.toml").read_text(encoding="utf-8") + lamps, encoding="utf-8")
     faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, "mc", "sobol", str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_in_textures(vec, lanes, scenes, tmp_path):
+    """Images that go on in each way, on a glossy surface too, and colours of vertices."""
+    write_image(tmp_path / "image.exr", np.full((2, 3, 3), 0.5, np.float32), "half")
+    image = '{ file = "image.exr", wrap = "repeat", scale = 50 }'
+    text = (
+        (scenes / "plane_light.toml")
+        .read_text(encoding="utf-8")
+        .replace("albedo = 0.5", f"albedo = {image}")
+    )
+    text += f"[materials.gloss]\nalbedo = {image}\nreflectance = 0.1\n".replace(
+        '"repeat"', '["mirror", "clamp"]'
+    )
+    text += '[[boxes]]\nmin = [-2, 0, -2]\nmax = [2, 1, 1]\nmaterial = "gloss"\n'
+    text += '[[meshes]]\nfile = "coloured.obj"\n'
+    (tmp_path / "coloured.obj").write_text("v -9 5 -3 1 0 0\nv 9 5 -3 0 1 0\nv 0 -5 -3 0 0 1\nf 1 2 3\n")
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    arguments = ("gi", "mc", "sobol", str(vec), str(lanes))
+    faults = simulate(tmp_path / "log", PROGRAM, tmp_path / "scene.toml", *arguments)
     assert not faults, faults[:5000]
 
 

@@ -217,7 +217,11 @@ def changed(array: np.ndarray, place: tuple[int, int], value: float) -> np.ndarr
             "meshes[1].triangles[0]",
             "there are 4",
         ),
-        (mesh(vertices=FLOOR * [1, 0, 0]), "meshes[1].vertices", "all its triangles are degenerate"),
+        (
+            {"meshes": [TriangleMesh(FLOOR * [1, 0, 0], TWO, "grey")]},
+            "meshes[0].vertices",
+            "all its triangles are degenerate",
+        ),
         (mesh(material="gray"), "meshes[1].material", "unknown material 'gray'; known materials: grey"),
         (mesh(material=0), "meshes[1].material", "non-empty string"),
         (mesh(normals=FLOOR[:3]), "meshes[1].normals", "as many as vertices, 4, are 3"),
@@ -245,6 +249,14 @@ def test_an_empty_scene_is_refused():
 def test_degenerate_triangles_are_dropped_with_a_warning():
     with pytest.warns(UserWarning, match=r"meshes\[0\].vertices: dropped 1 degenerate of 3 triangles"):
         scene = built(meshes=[TriangleMesh(FLOOR, [*TWO, [1, 1, 2]], "grey")])
+    assert scene.digest == built().digest and len(scene.warnings) == 1
+
+
+def test_one_mesh_without_area_of_several_is_left_out_with_a_warning():
+    with pytest.warns(UserWarning, match=r"meshes\[1\].vertices: has no area and is left out"):
+        scene = built(
+            meshes=[TriangleMesh(FLOOR, TWO, "grey"), TriangleMesh(FLOOR * [1, 0, 0], TWO, "grey")]
+        )
     assert scene.digest == built().digest and len(scene.warnings) == 1
 
 

@@ -84,7 +84,9 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
                        const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, const uint places,
-                       global const uint *restrict order, global const float *restrict triangles, global const float *restrict lights,
+                       global const uint *restrict order, global const float *restrict triangles,
+                       global const uint *restrict textures, global const half *restrict texels,
+                       global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
                        global const uint *restrict guide, global const float *restrict guide_known,
                        global uint *restrict guide_place, const uint plane, global const float *restrict wave,
@@ -128,10 +130,10 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
-  load_hit(triangles, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position, &geometric_normal,
-           &s);
+  load_hit(triangles, textures, texels, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position,
+           &geometric_normal, &s);
 #if HAS_EMISSION
-  const triple emitted = gather_triple(triangles, at + TRIANGLE_EMISSION);
+  const triple emitted = emission_at(triangles, textures, texels, at, hit.u, hit.v);
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */

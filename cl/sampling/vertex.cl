@@ -2,9 +2,10 @@
  * path's next ray.
  *
  * `triangles`: records of triangles.py. With HAS_SPECULAR they have reflectance and roughness, with HAS_EMISSION
- * emission, with HAS_NORMALS the corners' normals. Both sides are alike.
+ * emission, with HAS_NORMALS the corners' normals, with HAS_TEXTURES and HAS_COLOURS what is interpolated for
+ * textures.cl and between the corners' colours. Both sides are alike.
  *
- * Joined after lights.cl, guide.cl and wave.cl.
+ * Joined after lights.cl, textures.cl, guide.cl and wave.cl.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
@@ -43,7 +44,8 @@ triple turned(const triple t, const whole turn) {
 }
 
 /* Where rays hit. The position along the ray is moved onto the triangle's plane, for the offset to suffice. */
-void load_hit(global const float *restrict triangles, const whole at, const triple along, const real b1, const real b2,
+void load_hit(global const float *restrict triangles, global const uint *restrict textures,
+              global const half *restrict texels, const whole at, const triple along, const real b1, const real b2,
               const triple outgoing, triple *position, triple *geometric_normal, Scatterer *s) {
   const triple own = gather_triple(triangles, at + TRIANGLE_NORMAL);
   const real above = dot_triple(own, along) - gather(triangles, at + TRIANGLE_DISTANCE);
@@ -72,18 +74,14 @@ void load_hit(global const float *restrict triangles, const whole at, const trip
     s->normal.y = SELECT(s->normal.y, normal.y * inverse, usable);
     s->normal.z = SELECT(s->normal.z, normal.z * inverse, usable);
   }
-#else
-  (void)b1;
-  (void)b2;
 #endif
+  vary_surface(triangles, textures, texels, at, b1, b2, s);
 }
 
 /* a + b where `here`. */
 triple sum_where(const triple a, const triple b, const whole here) {
   return (triple){SELECT(a.x, a.x + b.x, here), SELECT(a.y, a.y + b.y, here), SELECT(a.z, a.z + b.z, here)};
 }
-
-triple product(const triple a, const triple b) { return (triple){a.x * b.x, a.y * b.y, a.z * b.z}; }
 
 /* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
  * the ray's `density` is. */

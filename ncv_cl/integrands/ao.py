@@ -10,6 +10,8 @@ from ..scene.load import Scene
 from .base import Integrand, IntegrandError
 
 MAPPINGS = ("height", "cosine")
+# A picture of a smaller mean is black to the eye.
+BLACK = 0.05
 
 
 class AmbientOcclusion(Integrand):
@@ -41,6 +43,15 @@ class AmbientOcclusion(Integrand):
 
     def data(self, scene: Scene) -> np.ndarray:
         return np.array([self.radius], np.float32)
+
+    def remark(self, mean: float) -> str | None:
+        if math.isfinite(self.radius) or not mean < BLACK:
+            return None
+        return (
+            f"ambient occlusion came out nearly black, its mean is {100 * mean:.2g} %: in a closed room "
+            "every ray meets a wall. Let only near ones count, by --radius or "
+            "AmbientOcclusion(radius=...): a few tenths of the room's size"
+        )
 
     def defines(self, scene: Scene) -> dict[str, int]:
         numbers = {f"HEMISPHERE_{name.upper()}": number for number, name in enumerate(MAPPINGS)}

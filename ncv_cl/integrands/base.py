@@ -213,6 +213,16 @@ class Integrand:
         """
         return None
 
+    def remark(self, mean: float) -> str | None:
+        """What to warn of, where a picture came out as is seldom meant; None where it did not.
+
+        Parameters
+        ----------
+        mean : float
+            Of all pixels and channels, over what the camera sees of the scene.
+        """
+        return None
+
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Radiance that points on lights emit, which is added to the pixels, float32 (points, 3).
 

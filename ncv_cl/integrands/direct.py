@@ -94,7 +94,7 @@ class DirectPart(DirectLight):
 
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
-    return {"HAS_SPECULAR": int(any(np.any(m.reflectance > 0) for m in scene.materials))}
+    return {"HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials))}
 
 
 def _corners(light: QuadLight) -> np.ndarray:

@@ -144,6 +144,8 @@ def resolve_image(
         pixels += grid.average(emitted, everything)
     if points.material is not None:
         glow = integrand.glow(scene, points.material)
+        if points.emission_factor is not None:
+            glow = glow * points.emission_factor
         if glow.any():
             pixels += grid.average(glow.T, everything)
 

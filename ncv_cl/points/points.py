@@ -11,6 +11,7 @@ from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..scene.load import Camera, Scene
+from ..scene.textures.surface import bent_normals, surface_at, varies
 from .trace import Hits, Tracer
 
 # A point's properties, each number of them a row of `surface`.
@@ -74,6 +75,8 @@ class ShadingPoints:
         int32 (total,), index of the material of each point.
     origin : ndarray
         float64 (3,), world position of the scene's origin.
+    emission_factor : ndarray, optional
+        float32 (total, 3), what textures multiply the emission of each point's material by.
     """
 
     surface: HostArray
@@ -84,6 +87,7 @@ class ShadingPoints:
     dark: int = 0
     material: np.ndarray | None = None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    emission_factor: np.ndarray | None = None
 
     @property
     def total(self) -> int:
@@ -104,10 +108,9 @@ class ShadingPoints:
         with self.surface.mapped() as old, surface.mapped(write=True) as new:
             for row, values in zip(new, old, strict=True):
                 np.take(values, order, out=row)
-        material = None if self.material is None else self.material[order]
-        return replace(
-            self, surface=surface, cell=self.cell[order], light=self.light[order], material=material
-        )
+        names = ("cell", "light", "material", "emission_factor")
+        kept = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return replace(self, surface=surface, **{name: one[order] for name, one in kept.items()})
 
     def without_last(self, dark: int) -> ShadingPoints:
         """The same points, the last `dark` active ones inactive."""
@@ -212,11 +215,28 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
+    emission_factor = None
+    if varies(scene):
+        emission_factor = _vary(surface, scene, hits.triangle[cell], hits.u[cell], hits.v[cell])
     material = scene.triangle_material[hits.triangle[cell]]
     background = cells - len(cell)
     return ShadingPoints(
-        surface, cell, light, active, background, material=material, origin=scene.origin
+        surface, cell, light, active, background, 0, material, scene.origin, emission_factor
     )
+
+
+def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> np.ndarray:
+    """Put in what textures and colours of vertices make of hits, as `surface_at` takes them.
+
+    Returns `ShadingPoints.emission_factor`.
+    """
+    found = surface_at(scene, *hits)
+    with surface.mapped(update=True) as rows:
+        for name in ("albedo", "reflectance", "roughness"):
+            rows[SURFACE[name]] = getattr(found, name).T
+        normal, outgoing = (rows[SURFACE[name]].T for name in ("normal", "outgoing"))
+        rows[SURFACE["normal"]] = bent_normals(scene, *hits, normal, outgoing).T
+    return found.emission_factor.astype(np.float32)
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:

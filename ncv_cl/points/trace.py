@@ -12,10 +12,13 @@ from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
 from ..scene.load import Scene
+from ..scene.textures.holes import Holes
 
 # Most and fewest rays a task: few enough to balance threads, many enough to hide the cost of a call.
 CHUNK = 1 << 14
 SMALLEST_CHUNK = 1 << 11
+# A ray that passes a hole goes on this much behind it, as a part of the coordinates that enter.
+PAST_HOLE = 32 * 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Tracer:
         # Robust traversal: no ray slips through the edge between two triangles.
         self._scene = rtcore_scene.EmbreeScene(robust=True)
         TriangleMesh(self._scene, scene.vertices, scene.triangles.astype(np.int32))
+        self._holes = Holes(scene) if scene.has_holes else None
         self._pool = ThreadPoolExecutor(self.threads)
         # The first run commits the scene and must not race with another.
         ray = np.zeros((1, 3), np.float32)
@@ -109,8 +113,38 @@ class Tracer:
             hits.u[part] = found["u"]
             hits.v[part] = found["v"]
             hits.distance[part] = found["tfar"]
+            if self._holes is not None:
+                own = Hits(*(getattr(hits, name)[part] for name in vars(hits)))
+                self._pass_holes(origins[part], directions[part], own)
 
         return trace
+
+    def _pass_holes(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        hits: Hits,
+        farthest: np.ndarray | None = None,
+    ) -> None:
+        """Go on where hits are in holes, to the next that are not, or to `farthest` along a ray."""
+        waiting = np.flatnonzero(self._holes.at(hits.triangle, hits.u, hits.v))
+        while waiting.size:
+            start, towards = origins[waiting], directions[waiting]
+            distance = hits.distance[waiting]
+            reached = np.abs(start + distance[:, None] * towards).max(axis=1)
+            # Beyond the triangle, by what rounding may make of the hit.
+            largest = np.abs(towards).max(axis=1)
+            coordinates = reached + np.abs(start).max(axis=1) + distance * largest
+            distance = distance + np.float32(PAST_HOLE) * coordinates / largest
+            left = np.full(len(waiting), np.inf, np.float32)
+            if farthest is not None:
+                left = np.maximum(farthest[waiting] - distance, np.float32(0.0))
+            is_left = left > 0
+            found = self._scene.run(start + distance[:, None] * towards, towards, left, output=True)
+            hits.triangle[waiting] = np.where(is_left, found["primID"], -1)
+            hits.u[waiting], hits.v[waiting] = found["u"], found["v"]
+            hits.distance[waiting] = distance + found["tfar"]
+            waiting = waiting[self._holes.at(hits.triangle[waiting], hits.u[waiting], hits.v[waiting])]
 
     def _visible_part(
         self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
@@ -118,8 +152,22 @@ class Tracer:
         def trace(part: slice) -> None:
             blocked = self._scene.run(origins[part], directions[part], distances[part], query="OCCLUDED")
             np.less(blocked, 0, out=out[part].view(np.bool_))
+            if self._holes is not None:
+                self._see_through(origins[part], directions[part], distances[part], out[part])
 
         return trace
+
+    def _see_through(
+        self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
+    ) -> None:
+        """Ask again about rays that are blocked: by holes alone, they are visible."""
+        blocked = np.flatnonzero(out == 0)
+        starts, towards, farthest = origins[blocked], directions[blocked], distances[blocked]
+        # embree writes hits' distances where it was given the farthest ones.
+        found = self._scene.run(starts, towards, farthest.copy(), output=True)
+        hits = Hits(*(found[name].copy() for name in ("primID", "u", "v", "tfar")))
+        self._pass_holes(starts, towards, hits, farthest)
+        out[blocked] = hits.triangle < 0
 
     def _in_chunks(self, *work: tuple[int, Callable[[slice], None]]) -> None:
         """Do each (rays, what traces a part of them), cut into parts that all threads share."""

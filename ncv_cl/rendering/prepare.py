@@ -49,6 +49,11 @@ def prepare(
         Gets the seconds of stages "scene", "points", "shafts" and "slices".
     """
     integrand = settings.integrand
+    if settings.sampling.visibility == "lines" and scene.has_holes:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' takes triangles for whole, but textures make holes in "
+            "some; take 'auto'"
+        )
     if settings.sampling.visibility == "lines" and not (
         integrand.promises("sliced") or shafts_pay(scene)
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,17 @@ def render(
     if keep.not_written:
         image.stats["not_written"] = keep.not_written
     about_values(image, reference)
+    _remark(settings, problem, image)
     return image
+
+
+def _remark(settings: Settings, problem: Problem, image: Image) -> None:
+    """Warn of a picture that is seldom meant as it came out."""
+    width, height = settings.size
+    seen = problem.points.total / (width * height * settings.sampling.supersample**2)
+    remark = settings.integrand.remark(float(image.pixels.mean()) / seen) if seen else None
+    if remark is not None:
+        warnings.warn(remark, stacklevel=3)
 
 
 def integrand_of(integrand: str | Integrand) -> Integrand:

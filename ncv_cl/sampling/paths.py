@@ -13,6 +13,7 @@ from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
+from ..points.textures import Textures, texture_defines
 from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
@@ -74,8 +75,10 @@ class PathSource(SampleSource):
         self._most = np.inf if integrand.clamp is None else integrand.clamp
         records, defines = triangle_records(scene)
         self._triangles = HostArray.of(device, records)
+        self._textures = Textures.of(device, scene)
         self._frame = HostArray.of(device, guide_frame(scene))
-        few = self._few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
+        few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
+        few = self._few = few and not scene.has_holes
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
@@ -87,6 +90,7 @@ class PathSource(SampleSource):
         surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
         self._files = (
             *surface,
+            "textures",
             "warp",
             "guide",
             "shadow",
@@ -109,6 +113,7 @@ class PathSource(SampleSource):
             **ray_defines(),
             **warp_defines(),
             **guide_defines(),
+            **texture_defines(),
         }
         self._branches = 0
         self._choose_program()
@@ -281,6 +286,8 @@ class PathSource(SampleSource):
             places=len(batch.points) * batch.stride,
             order=batch.order,
             triangles=self._triangles,
+            textures=self._textures.records,
+            texels=self._textures.texels,
             lights=self._data,
             casters=self._casters,
             guide_frame=self._frame,

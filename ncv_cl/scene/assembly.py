@@ -12,6 +12,8 @@ from . import geometry, place
 from .geometry import SMALLEST_ROUGHNESS, Mesh
 from .model import Camera, Material, QuadLight, Scene
 from .table import Table
+from .textures.image_file import ImageFiles
+from .textures.keys import read_maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +92,22 @@ class Assembly:
 
     def add(self, table: Table, key: str, mesh: Mesh, material: int, advice: str = "") -> None:
         """Append a mesh that `table` describes, maybe with others; `advice`: see `_Part`."""
+        surface = self.materials[material]
+        if not surface.textures:
+            mesh = replace(mesh, uv=None)
+        elif mesh.uv is None:
+            raise table.error(
+                key,
+                f"has no texture coordinates, which the texture of material {surface.name!r} needs: "
+                "quads, boxes and spheres have some, and meshes that were exported with them",
+            )
+        else:
+            mesh = replace(mesh, uv=surface.maps.placed(mesh.uv))
         self._parts.append(_Part(table, key, mesh, material, -1, advice))
 
     def add_light(self, table: Table, light: QuadLight, material: int) -> None:
         """Append a light, in double precision, and its triangles. Lights follow all other meshes."""
-        mesh = geometry.quad_mesh(light.corner, light.edge1, light.edge2)
+        mesh = replace(geometry.quad_mesh(light.corner, light.edge1, light.edge2), uv=None)
         self._parts.append(_Part(table, "", mesh, material, len(self._lights), ""))
         self._lights.append(light)
 
@@ -132,11 +145,19 @@ class Assembly:
         return origin, placed
 
     def _report_dropped(self) -> None:
-        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left."""
-        for (_, key), (table, dropped, total) in self._dropped.items():
-            if dropped == total:
+        """Say how many degenerate triangles were dropped; raise `SceneError` where nothing is left.
+
+        A mesh without area is an error unless there are others: exporters write such meshes, a line of
+        a scene file that describes one is a slip.
+        """
+        of_meshes = [(d, n) for (where, _), (_, d, n) in self._dropped.items() if _is_mesh(where)]
+        others = any(dropped < total for dropped, total in of_meshes)
+        for (where, key), (table, dropped, total) in self._dropped.items():
+            if dropped == total and not (others and _is_mesh(where)):
                 raise table.error(key, "has no area: all its triangles are degenerate")
-            if dropped:
+            if dropped == total:
+                self.warn(table, key, "has no area and is left out: all its triangles are degenerate")
+            elif dropped:
                 message = f"dropped {dropped} degenerate of {total} triangles (they have no area)"
                 self.warn(table, key, message)
 
@@ -178,11 +199,31 @@ class Assembly:
             warnings=tuple(self.warnings),
             origin=origin,
             named=tuple(named),
+            vertex_uv=_joined([mesh.uv for mesh in meshes], meshes, (0.0, 0.0)),
+            vertex_colours=_joined([mesh.colours for mesh in meshes], meshes, (1.0, 1.0, 1.0)),
         )
         for array in vars(scene).values():
             if isinstance(array, np.ndarray):
                 array.setflags(write=False)
         return scene
+
+
+def _joined(
+    rows: list[NDArray[np.float64] | None], meshes: list[Mesh], absent: tuple[float, ...]
+) -> NDArray[np.float32] | None:
+    """What vertices of all meshes carry, `absent` those of some; None if none carries anything."""
+    if all(one is None for one in rows):
+        return None
+    filled = [
+        np.tile(absent, (len(mesh.vertices), 1)) if one is None else one
+        for one, mesh in zip(rows, meshes, strict=True)
+    ]
+    return np.concatenate(filled).astype(np.float32)
+
+
+def _is_mesh(where: str) -> bool:
+    """Whether a table's place is that of a mesh, a file's or given as arrays."""
+    return where.startswith("meshes[")
 
 
 def read_camera(root: Table) -> Camera:
@@ -204,7 +245,7 @@ def read_camera(root: Table) -> Camera:
     return Camera(position, target, vertical_fov, up=up)
 
 
-def read_materials(root: Table) -> list[Material]:
+def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     """The tables of ``materials`` in their order, checked."""
     if "materials" not in root:
         return []
@@ -214,12 +255,13 @@ def read_materials(root: Table) -> list[Material]:
     materials = []
     for name, data in names.items():
         where = f"materials.{name}"
-        table = Table(root.source, where, data, ("albedo", "reflectance", "roughness", "emission"))
+        keys = ("albedo", "reflectance", "roughness", "emission", "opacity", "normal", "maps")
+        maps, table = read_maps(Table(root.source, where, data, keys), images)
         albedo = table.colour("albedo", high=1.0)
         reflectance = table.colour("reflectance", default=0.0, high=1.0)
         roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
         emission = table.colour("emission", default=0.0)
-        materials.append(Material(albedo, reflectance, roughness, emission, name=name))
+        materials.append(Material(albedo, reflectance, roughness, emission, maps, name=name))
     return materials
 
 

@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .assembly import Assembly, add_lights, read_camera, read_materials
 from .geometry import Mesh, normalised
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .table import SceneError, Table
+from .textures.image_file import ImageFiles
 
 # Begins every message, as a scene file's path begins its messages.
 _SOURCE = "build_scene"
@@ -69,7 +71,7 @@ def build_scene(
         "lights": _tables("lights", lights, QuadLight),
     }
     root = Table(_SOURCE, "", data, _KEYS)
-    assembly = Assembly(_SOURCE, read_camera(root), read_materials(root))
+    assembly = Assembly(_SOURCE, read_camera(root), read_materials(root, ImageFiles()))
     for table in root.tables("meshes", [field.name for field in fields(TriangleMesh)]):
         mesh, material = _mesh(table), assembly.named_material(table)
         dtype = np.asarray(table.raw("vertices")).dtype
@@ -110,11 +112,21 @@ def _short(value: object) -> str:
 def _mesh(table: Table) -> Mesh:
     vertices = table.points("vertices")
     triangles = table.indices("triangles", len(vertices))
-    normals = np.zeros_like(vertices)
-    if "normals" in table:
-        normals = normalised(table.points("normals"))
-        if len(normals) != len(vertices):
-            raise table.error(
-                "normals", f"must be as many as vertices, {len(vertices)}, are {len(normals)}"
-            )
-    return Mesh(vertices, normals, triangles)
+    given = _of_vertices(table, "normals", 3, len(vertices))
+    normals = np.zeros_like(vertices) if given is None else normalised(given)
+    uv, colours = (
+        _of_vertices(table, key, width, len(vertices)) for key, width in (("uv", 2), ("colours", 3))
+    )
+    if colours is not None and not (colours.min() >= 0.0 and colours.max() <= 1.0):
+        raise table.error("colours", "are outside [0, 1]")
+    return Mesh(vertices, normals, triangles, uv, colours)
+
+
+def _of_vertices(table: Table, key: str, width: int, count: int) -> NDArray[np.float64] | None:
+    """Numbers (count, width) that a mesh may have."""
+    if key not in table:
+        return None
+    found = table.points(key, width)
+    if len(found) != count:
+        raise table.error(key, f"must be as many as vertices, {count}, are {len(found)}")
+    return found

@@ -6,7 +6,8 @@ scene reader adds where.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -21,11 +22,21 @@ PLANARITY = 0.01
 # Coordinates above this have squares and cross products that overflow single precision.
 LARGEST_COORDINATE = 1e15
 SMALLEST_ROUGHNESS = 0.01
+# Rightwards and upwards along each side of a box as it is seen from outside.
+_BOX_SIDES = np.array(
+    [
+        [[0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 1, 0]], [[1, 0, 0], [0, 1, 0]],
+        [[-1, 0, 0], [0, 1, 0]], [[1, 0, 0], [0, 0, -1]], [[1, 0, 0], [0, 0, 1]],
+    ],
+    dtype=np.float64,
+)  # fmt: skip
+# Texture coordinates of a parallelogram: u along its first edge, v along its second.
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles with optional shading normals.
+    """Triangles, and what is interpolated between their corners.
 
     Attributes
     ----------
@@ -33,11 +44,22 @@ class Mesh:
     normals : float64 (n_vertices, 3)
         Unit length; all zero where the surface is flat.
     triangles : int64 (n_triangles, 3)
+    uv : float64 (n_vertices, 2), optional
+        Texture coordinates, see texture.py.
+    colours : float64 (n_vertices, 3), optional
+        Linear RGB in [0, 1] that multiplies the material's albedo.
     """
 
     vertices: Vectors
     normals: Vectors
     triangles: NDArray[np.int64]
+    uv: Vectors | None = None
+    colours: Vectors | None = None
+
+    def with_rows(self, change: Callable[[Vectors], Vectors], triangles: NDArray[np.int64]) -> Mesh:
+        """A mesh of other `triangles` whose vertices, and all they carry, are changed alike."""
+        uv, colours = (None if rows is None else change(rows) for rows in (self.uv, self.colours))
+        return Mesh(change(self.vertices), change(self.normals), triangles, uv, colours)
 
 
 def flat_mesh(vertices: Vectors, triangles: object) -> Mesh:
@@ -49,7 +71,7 @@ def flat_mesh(vertices: Vectors, triangles: object) -> Mesh:
 def quad_mesh(corner: Vectors, edge1: Vectors, edge2: Vectors) -> Mesh:
     """A parallelogram as two triangles whose winding gives the normal edge1 x edge2."""
     vertices = np.stack([corner, corner + edge1, corner + edge1 + edge2, corner + edge2])
-    return flat_mesh(vertices, [[0, 1, 2], [0, 2, 3]])
+    return replace(flat_mesh(vertices, [[0, 1, 2], [0, 2, 3]]), uv=UNIT_SQUARE)
 
 
 def polygon_mesh(vertices: Vectors) -> Mesh:
@@ -85,17 +107,44 @@ def polygon_mesh(vertices: Vectors) -> Mesh:
     return flat_mesh(vertices, fan)
 
 
-def box_mesh(centre: Vectors, size: Vectors, rotation: Vectors) -> Mesh:
-    """A box of full edge lengths `size`, turned about its centre by `rotation` (4, 4)."""
-    box = trimesh.creation.box(extents=size)
-    return flat_mesh(box.vertices @ rotation[:3, :3].T + centre, box.faces)
+def box_mesh(centre: Vectors, size: Vectors, rotation: Vectors, textured: bool = False) -> Mesh:
+    """A box of full edge lengths `size`, turned about its centre by `rotation` (4, 4).
+
+    Where it is `textured` each side is a unit square of texture coordinates, upright as seen from
+    outside.
+    """
+    if not textured:
+        box = trimesh.creation.box(extents=size)
+        return flat_mesh(box.vertices @ rotation[:3, :3].T + centre, box.faces)
+    sides = [quad_mesh(-0.5 * (right + up - np.cross(right, up)), right, up) for right, up in _BOX_SIDES]
+    vertices = np.concatenate([side.vertices for side in sides]) * size
+    triangles = np.concatenate([side.triangles + 4 * i for i, side in enumerate(sides)])
+    mesh = flat_mesh(vertices @ rotation[:3, :3].T + centre, triangles)
+    return replace(mesh, uv=np.tile(UNIT_SQUARE, (6, 1)))
 
 
-def sphere_mesh(centre: Vectors, radius: float, subdivisions: int) -> Mesh:
-    """An icosphere of 20 * 4**subdivisions triangles with the sphere's own normals."""
+def sphere_mesh(centre: Vectors, radius: float, subdivisions: int, textured: bool = False) -> Mesh:
+    """An icosphere of 20 * 4**subdivisions triangles with the sphere's own normals.
+
+    Where it is `textured`, u goes with the longitude about y, from z over x, and v with the latitude.
+    """
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions)
     normals = normalised(np.asarray(sphere.vertices, dtype=np.float64))
-    return Mesh(centre + radius * normals, normals, np.asarray(sphere.faces, dtype=np.int64))
+    triangles = np.asarray(sphere.faces, dtype=np.int64)
+    mesh = Mesh(centre + radius * normals, normals, triangles)
+    if not textured:
+        return mesh
+    corners = normals[triangles]
+    longitude = np.arctan2(corners[..., 0], corners[..., 2]) / (2.0 * np.pi)
+    at_pole = np.abs(corners[..., 1]) > 1.0 - 1e-9
+    # Over the seam a triangle reaches beyond 1; a pole is where its triangle's other corners are.
+    known = np.where(at_pole, np.nan, longitude)
+    longitude = known + ((known < 0.0) & (np.nanmax(known, axis=1, keepdims=True) - known > 0.5))
+    longitude = np.where(at_pole, np.nanmean(longitude, axis=1, keepdims=True), longitude)
+    latitude = np.arcsin(np.clip(corners[..., 1], -1.0, 1.0)) / np.pi + 0.5
+    rows = triangles.reshape(-1)
+    split = mesh.with_rows(lambda values: values[rows], np.arange(len(rows)).reshape(-1, 3))
+    return replace(split, uv=np.stack([longitude + 0.5, latitude], axis=2).reshape(-1, 2))
 
 
 def axis_angle(axis: Vectors, degrees: float) -> Vectors:
@@ -142,7 +191,8 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
     resolution = 2.0 * np.finfo(np.float32).eps * np.abs(corners).max(axis=(1, 2))
     keep = twice_area > resolution * longest
     used, triangles = np.unique(mesh.triangles[keep], return_inverse=True)
-    kept = Mesh(vertices[used], mesh.normals[used], triangles.reshape(-1, 3))
+    mesh = replace(mesh, vertices=vertices)
+    kept = mesh.with_rows(lambda rows: rows[used], triangles.reshape(-1, 3))
     return kept, int(np.count_nonzero(~keep))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from .assembly import Assembly, add_lights, read_camera, read_materials
 from .geometry import Mesh
 from .model import Camera, Material, QuadLight, Scene
 from .table import SceneError, Table
+from .textures.image_file import ImageFiles
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -64,17 +66,26 @@ def load_scene(path: str | Path) -> Scene:
         `Scene.warnings`.
     """
     path = Path(path)
-    root = Table(path, "", _read_toml(path), _SCENE_KEYS)
-    assembly = Assembly(path, read_camera(root), read_materials(root))
-    _add_primitives(root, assembly)
-    _add_mesh_files(root, path.parent, assembly)
-    add_lights(root, assembly)
-    if assembly.is_empty:
-        raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
-    scene = assembly.scene(root.text("name", path.stem), path)
+    scene = scene_from(_read_toml(path), path)
     for warning in scene.warnings:
         warnings.warn(warning, stacklevel=2)
     return scene
+
+
+def scene_from(tables: dict[str, object], path: Path) -> Scene:
+    """The scene of what a scene file holds; `path` is that file, for messages and mesh files.
+
+    Raises `SceneError` as `load_scene` does; warns of nothing, see `Scene.warnings`.
+    """
+    root = Table(path, "", tables, _SCENE_KEYS)
+    images = ImageFiles()
+    assembly = Assembly(path, read_camera(root), read_materials(root, images))
+    _add_primitives(root, assembly)
+    _add_mesh_files(root, path.parent, images, assembly)
+    add_lights(root, assembly)
+    if assembly.is_empty:
+        raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
+    return assembly.scene(root.text("name", path.stem), path)
 
 
 def _read_toml(path: Path) -> dict[str, object]:
@@ -103,17 +114,21 @@ def _add_primitives(root: Table, assembly: Assembly) -> None:
             raise table.error("vertices", str(error)) from error
         assembly.add(table, "vertices", mesh, assembly.named_material(table))
     for table in root.tables("boxes", ("min", "max", "center", "size", "rotate", "material", "name")):
-        assembly.add(table, "", _read_box(table), assembly.named_material(table))
+        material = assembly.named_material(table)
+        mesh = _read_box(table, bool(assembly.materials[material].textures))
+        assembly.add(table, "", mesh, material)
     for table in root.tables("spheres", ("center", "radius", "material", "subdivisions", "name")):
         radius = table.number("radius")
         if not radius > 0.0:
             raise table.error("radius", f"{radius} is out of range; it must be positive")
         subdivisions = table.integer("subdivisions", 3, 0, 7)
-        mesh = geometry.sphere_mesh(table.vector("center"), radius, subdivisions)
-        assembly.add(table, "", mesh, assembly.named_material(table))
+        material = assembly.named_material(table)
+        textured = bool(assembly.materials[material].textures)
+        mesh = geometry.sphere_mesh(table.vector("center"), radius, subdivisions, textured)
+        assembly.add(table, "", mesh, material)
 
 
-def _read_box(table: Table) -> Mesh:
+def _read_box(table: Table, textured: bool) -> Mesh:
     corners, centred = ("min", "max"), ("center", "size")
     first, second = centred if any(key in table for key in centred) else corners
     for key in corners:
@@ -126,7 +141,7 @@ def _read_box(table: Table) -> Mesh:
         centre, size = 0.5 * (low + high), high - low
     if not size.min() > 0.0:
         raise table.error(second, "the box must have a positive size along every axis")
-    return geometry.box_mesh(centre, size, _read_rotation(table))
+    return geometry.box_mesh(centre, size, _read_rotation(table), textured)
 
 
 def _read_rotation(table: Table) -> NDArray[np.float64]:
@@ -164,7 +179,7 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
     return np.asarray(translation @ _read_rotation(table) @ np.diag([*factors, 1.0]))
 
 
-def _add_mesh_files(root: Table, folder: Path, assembly: Assembly) -> None:
+def _add_mesh_files(root: Table, folder: Path, images: ImageFiles, assembly: Assembly) -> None:
     keys = ("file", "material", "name", "translate", "scale", "rotate", "transform", "smooth")
     for table in root.tables("meshes", keys):
         file = folder / table.text("file")
@@ -173,7 +188,8 @@ def _add_mesh_files(root: Table, folder: Path, assembly: Assembly) -> None:
         smooth = table.flag("smooth", None)
         key = f"file: {file.name}"
         try:
-            found = meshes.read_meshes(file, transform, smooth)
+            textured = material is not None and bool(assembly.materials[material].textures)
+            found = meshes.read_meshes(file, transform, smooth, images, textured)
         except ValueError as error:
             raise table.error(key, str(error)) from error
         for sentence in found.notes if material is None else found.shape_notes:
@@ -187,7 +203,9 @@ def _add_mesh_files(root: Table, folder: Path, assembly: Assembly) -> None:
                         _material_of_file(table, item.material, file.name, assembly)
                     )
                 index = from_file[item.material]
-            assembly.add(table, key, item.mesh, index, advice=_COARSE)
+            # Colours are part of the file's looks.
+            mesh = item.mesh if material is None else replace(item.mesh, colours=None)
+            assembly.add(table, key, mesh, index, advice=_COARSE)
 
 
 def _material_of_file(
@@ -207,4 +225,5 @@ def _material_of_file(
         reflectance=np.array(found.reflectance, dtype=np.float32),
         roughness=found.roughness,
         emission=np.array(found.emission, dtype=np.float32),
+        maps=found.maps,
     )

@@ -10,11 +10,13 @@ import hashlib
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .table import SceneError
+from .textures.texture import Maps, Texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,8 @@ class Material:
         In [0.01, 1]; the GGX alpha is roughness**2.
     emission : float32 (3,)
         Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
+    maps : Maps, optional
+        What varies over the surface: `albedo` and `roughness` are then factors.
     """
 
     name: str = field(default="", kw_only=True)
@@ -62,6 +66,17 @@ class Material:
     reflectance: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
     roughness: float = 1.0
     emission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
+    maps: Maps | None = None
+
+    @property
+    def has_lobe(self) -> bool:
+        """Whether it reflects specularly anywhere."""
+        return bool(np.any(self.reflectance > 0)) or (self.maps is not None and self.maps.metallic > 0)
+
+    @property
+    def textures(self) -> tuple[Texture, ...]:
+        """The textures that need coordinates of the surface."""
+        return () if self.maps is None else self.maps.textures
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +96,10 @@ class TriangleMesh:
         there are none, are shaded with their own.
     name : str, optional
         What surfaces are called, for `view_factors` and `bake`; several may share a name.
+    uv : array (n_vertices, 2), optional
+        Texture coordinates: (0, 0) is an image's lower left corner, (1, 1) its upper right one.
+    colours : array (n_vertices, 3), optional
+        Linear RGB in [0, 1], to be interpolated, that multiplies the material's albedo.
     """
 
     vertices: NDArray[np.float64]
@@ -88,6 +107,8 @@ class TriangleMesh:
     material: str
     normals: NDArray[np.float64] | None = None
     name: str | None = None
+    uv: NDArray[np.float64] | None = None
+    colours: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +183,10 @@ class Scene:
         World position of this scene's origin: 0 unless the scene lies far from the world's.
     named : tuple of (str, range)
         Names of surfaces, and the triangles of each; a name may occur several times.
+    vertex_uv : float32 (n_vertices, 2), optional
+        Texture coordinates; None where no material has a texture.
+    vertex_colours : float32 (n_vertices, 3), optional
+        Linear RGB that multiplies the albedo; None where no mesh has colours.
     """
 
     name: str
@@ -177,6 +202,13 @@ class Scene:
     warnings: tuple[str, ...]
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     named: tuple[tuple[str, range], ...] = ()
+    vertex_uv: NDArray[np.float32] | None = None
+    vertex_colours: NDArray[np.float32] | None = None
+
+    @cached_property
+    def has_holes(self) -> bool:
+        """Whether rays pass surfaces where the opacity of a texture is too small."""
+        return any(one.maps is not None and one.maps.opacity is not None for one in self.materials)
 
     def surface_of(self, name: str) -> NDArray[np.int64]:
         """The triangles of the surfaces of a name, int64.
@@ -207,13 +239,21 @@ class Scene:
         """SHA-256, in hex, of everything that affects the image; names and paths do not."""
         digest = hashlib.sha256()
         for part in (self.camera, *self.materials, *self.lights, self):
-            digest.update(type(part).__name__.encode())
-            for entry in fields(part):
-                value = getattr(part, entry.name)
-                if isinstance(value, (float, np.ndarray)):
-                    array = np.asarray(value)
-                    digest.update(f"{entry.name}{array.dtype}{array.shape}".encode())
-                    digest.update(array.tobytes())
-                elif isinstance(value, bool):
-                    digest.update(f"{entry.name}{value}".encode())
+            _add_to(digest, part)
         return digest.hexdigest()
+
+
+def _add_to(digest: Any, part: object) -> None:
+    """What a part of a scene holds that affects the image; what is None leaves no trace."""
+    digest.update(type(part).__name__.encode())
+    for entry in fields(part):
+        value = getattr(part, entry.name)
+        if isinstance(value, (float, np.ndarray)):
+            array = np.asarray(value)
+            digest.update(f"{entry.name}{array.dtype}{array.shape}".encode())
+            digest.update(array.tobytes())
+        elif isinstance(value, bool) or entry.name == "wrap":
+            digest.update(f"{entry.name}{value}".encode())
+        elif isinstance(value, (Maps, Texture)):
+            digest.update(entry.name.encode())
+            _add_to(digest, value)

@@ -157,7 +157,7 @@ def _halved(
 
     So are their neighbours, as far as that is needed; `longest` is the number of a triangle's edge.
     """
-    vertices, normals = mesh.vertices, mesh.normals
+    vertices = mesh.vertices
     turn = (longest[:, None] + np.arange(3)) % 3
     turned = np.take_along_axis(triangles, turn, axis=1)
     # Edges by the positions they join: 0 the longest, then the others in order.
@@ -188,11 +188,11 @@ def _halved(
         np.stack([m, q, c], axis=1)[second],
     ]
     kept = triangles[~np.isin(edges[:, 0], marked)]
-    return Mesh(
-        np.concatenate([vertices, (0.5 * (vertices[own] + vertices[following])).reshape(-1, 3)]),
-        np.concatenate([normals, (0.5 * (normals[own] + normals[following])).reshape(-1, 3)]),
-        np.concatenate([kept, *parts]),
-    )
+
+    def with_middles(rows: Vectors) -> Vectors:
+        return np.concatenate([rows, (0.5 * (rows[own] + rows[following])).reshape(-1, rows.shape[1])])
+
+    return mesh.with_rows(with_middles, np.concatenate([kept, *parts]))
 
 
 def _box_distances(corners: Vectors, point: Vectors) -> Vectors:

@@ -54,6 +54,10 @@ class Table:
     def __contains__(self, key: str) -> bool:
         return key in self._data
 
+    def replaced(self, values: dict[str, object]) -> Table:
+        """The same table with other values of some keys."""
+        return Table(self.source, self.where, self._data | values, {*self._data, *values})
+
     def error(self, key: str, message: str) -> SceneError:
         """A `SceneError` that says where `key` stands; the caller raises it."""
         place = ".".join(part for part in (self.where, key) if part)
@@ -136,9 +140,9 @@ class Table:
             raise self.error(f"{key}[3]", "the last row of an affine transform is [0, 0, 0, 1]")
         return matrix
 
-    def points(self, key: str) -> NDArray[np.float64]:
-        """An array of points or vectors, finite, float64 (n, 3)."""
-        found = self._array(key, "fiu", "numbers (n, 3)").astype(np.float64)
+    def points(self, key: str, width: int = 3) -> NDArray[np.float64]:
+        """An array of points or vectors, finite, float64 (n, width)."""
+        found = self._array(key, "fiu", f"numbers (n, {width})", width).astype(np.float64)
         usable = np.abs(found) <= _LARGEST
         if not usable.all():
             row, column = np.argwhere(~usable)[0]
@@ -166,6 +170,23 @@ class Table:
             raise self.error(key, f"expected a non-empty string, got {value!r}")
         return value
 
+    def choice(self, key: str, known: tuple[str, ...], default: str) -> str:
+        """One of some words."""
+        value = self._data.get(key, default)
+        if value not in known:
+            raise self.error(key, f"expected one of {', '.join(known)}, got {value!r}")
+        return value
+
+    def pair(self, key: str, default: float) -> tuple[float, float]:
+        """Two finite numbers, or one that stands for both."""
+        value = _plain(self._data.get(key, default))
+        if not isinstance(value, list):
+            value = [value, value]
+        if len(value) != 2:
+            raise self.error(key, f"expected a number or 2 numbers, got {_describe(value)}")
+        first, second = (self._checked(f"{key}[{i}]", v) for i, v in enumerate(value))
+        return first, second
+
     def flag(self, key: str, default: bool | None) -> bool | None:
         """A boolean, or `default` where the key is absent."""
         if key not in self:
@@ -174,13 +195,13 @@ class Table:
             raise self.error(key, f"expected true or false, got {self._data[key]!r}")
         return bool(self._data[key])
 
-    def _array(self, key: str, kinds: str, expected: str) -> NDArray[Any]:
-        """What numpy makes of a value: (n, 3), of a dtype of one of `kinds`."""
+    def _array(self, key: str, kinds: str, expected: str, width: int = 3) -> NDArray[Any]:
+        """What numpy makes of a value: (n, width), of a dtype of one of `kinds`."""
         try:
             found = np.asarray(self.raw(key))
         except ValueError as error:  # rows of unequal lengths
             raise self.error(key, f"expected {expected}: {error}") from error
-        if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in kinds:
+        if found.ndim != 2 or found.shape[1] != width or found.dtype.kind not in kinds:
             raise self.error(key, f"expected {expected}, got {found.dtype} {found.shape}")
         return found
 

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..textures.image_file import ImageFiles
+from ..textures.texture import Maps
+
 Vectors = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Colour = tuple[float, float, float]
@@ -21,13 +24,17 @@ _LISTED = 5
 
 @dataclass(frozen=True)
 class FileMaterial:
-    """A material found in a mesh file, in the renderer's terms; colours are linear RGB."""
+    """A material found in a mesh file, in the renderer's terms; colours are linear RGB.
+
+    Where it has `maps`, its other numbers are factors, as in `Material`.
+    """
 
     name: str
     albedo: Colour
     reflectance: Colour
     roughness: float
     emission: Colour = (0.0, 0.0, 0.0)
+    maps: Maps | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +52,10 @@ class FileGeometry:
         From these coordinates to the file's world, for column vectors.
     name : str
         Where the triangles come from, for messages; may be empty.
+    uv : float64 (n_vertices, 2) or None
+        Texture coordinates, (0, 0) in an image's lower left corner.
+    colours : float64 (n_vertices, 3) or None
+        Linear RGB that multiplies the albedo.
     """
 
     vertices: Vectors
@@ -53,6 +64,23 @@ class FileGeometry:
     material: FileMaterial | None = None
     transform: Vectors = field(default_factory=lambda: np.eye(4))
     name: str = ""
+    uv: Vectors | None = None
+    colours: Vectors | None = None
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the scene gives the readers, and asks of them.
+
+    Attributes
+    ----------
+    images : ImageFiles
+    coordinates : bool
+        Whether the scene gives the mesh a material with a texture, which needs texture coordinates.
+    """
+
+    images: ImageFiles
+    coordinates: bool
 
 
 class Notes:
@@ -117,21 +145,6 @@ def check_triangles(vertices: Vectors, triangles: Indices, what: str) -> None:
             raise ValueError(f"{what}: vertex {bad[0]} is not finite: {vertices[bad[0]].tolist()}")
 
 
-def linear_from_srgb(colours: Vectors) -> Vectors:
-    """Linear values of sRGB-encoded ones in [0, 1] (IEC 61966-2-1)."""
-    colours = np.asarray(colours, dtype=np.float64)
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-
-
-def mean_over_area(colours: Vectors, vertices: Vectors, triangles: Indices) -> Vectors:
-    """Mean over a surface of colours (n_vertices, 3) that are interpolated on triangles."""
-    corners = vertices[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    if not area.sum() > 0.0:
-        area = np.ones(len(triangles))
-    return np.average(colours[triangles].mean(axis=1), axis=0, weights=area)
-
-
 def three(values: object) -> Colour:
     """A colour as three floats; one number stands for all of them."""
     red, green, blue = (float(c) for c in np.broadcast_to(np.asarray(values, dtype=np.float64), 3))
@@ -143,3 +156,11 @@ def metallic_model(base: object, metallic: float) -> tuple[Colour, Colour]:
     colour = np.asarray(base, dtype=np.float64)
     reflectance = DIELECTRIC_REFLECTANCE * (1.0 - metallic) + colour * metallic
     return three(colour * (1.0 - metallic)), three(reflectance)
+
+
+def constant_or_varying(colours: Vectors, triangles: Indices) -> tuple[Colour | None, Vectors | None]:
+    """Colours of vertices (n, 3) in use: one for all of them, or else their rows in [0, 1]."""
+    used = colours[np.unique(triangles)]
+    if np.ptp(used, axis=0).max() <= 1e-6:
+        return three(used.mean(axis=0)), None
+    return None, np.clip(np.nan_to_num(colours), 0.0, 1.0)

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from .common import (
+    Asked,
     FileGeometry,
     FileMaterial,
     Indices,
     Notes,
     Vectors,
     check_triangles,
-    mean_over_area,
+    constant_or_varying,
     three,
 )
 from .gltf_buffers import Container
-from .gltf_material import material_name, read_material
+from .gltf_material import coordinate_set, material_name, read_material
 from .gltf_pose import Nodes, skinned
 from .polygons import strip_triangles
 
@@ -31,7 +32,7 @@ _MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
-def read_gltf(path: Path, notes: Notes) -> list[FileGeometry]:
+def read_gltf(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
     """Read what the file's default scene shows, else its first, else all root nodes.
 
     Every primitive gives one geometry for each of its places.
@@ -54,14 +55,15 @@ def read_gltf(path: Path, notes: Notes) -> list[FileGeometry]:
             notes.shape("extensions that are not read", extension)
     for animation in tree.get("animations", []):
         notes.shape("animations are left out, the rest pose is shown", animation.get("name", ""))
-    return _Scene(container, notes).geometries()
+    return _Scene(container, notes, asked).geometries()
 
 
 class _Scene:
     """Collects the primitives of the nodes that are shown."""
 
-    def __init__(self, container: Container, notes: Notes) -> None:
+    def __init__(self, container: Container, notes: Notes, asked: Asked) -> None:
         self._container = container
+        self._asked = asked
         self._notes = notes
         self._nodes = Nodes(container)
         self._primitives: dict[tuple[object, ...], list[tuple[dict[str, Any], FileGeometry]]] = {}
@@ -166,8 +168,9 @@ class _Scene:
             indices = np.arange(len(vertices))
         triangles = _triangles(indices, mode, name)
         check_triangles(vertices, triangles, name)
-        material = self._material(primitive, vertices, triangles, name)
-        return FileGeometry(vertices, triangles, normals, material, name=name)
+        material, colours = self._material(primitive, triangles, name)
+        uv = self._coordinates(primitive, material, len(vertices), name)
+        return FileGeometry(vertices, triangles, normals, material, name=name, uv=uv, colours=colours)
 
     def _vectors(
         self, primitive: dict[str, Any], key: str, weights: list[float] | None, name: str
@@ -182,29 +185,44 @@ class _Scene:
         return values
 
     def _material(
-        self, primitive: dict[str, Any], vertices: Vectors, triangles: Indices, name: str
-    ) -> FileMaterial | None:
-        """The primitive's material times the mean of its vertex colours."""
+        self, primitive: dict[str, Any], triangles: Indices, name: str
+    ) -> tuple[FileMaterial | None, Vectors | None]:
+        """The primitive's material, and the colours of vertices that multiply it."""
         index = primitive.get("material")
-        tint = (1.0, 1.0, 1.0)
+        tint, colours = (1.0, 1.0, 1.0), None
         if "COLOR_0" in primitive["attributes"] and len(triangles):
             stored = self._container.array(primitive["attributes"]["COLOR_0"], decode=False)
             scale = np.iinfo(stored.dtype).max if stored.dtype.kind in "iu" else 1.0
-            colours = stored[:, :3].astype(np.float64) / scale
-            tint = three(mean_over_area(colours, vertices, triangles))
-            if np.ptp(colours[np.unique(triangles)], axis=0).max() > 1e-6:
-                self._notes.look("colours of vertices are not read, their mean stands for them", name)
+            tint, colours = constant_or_varying(stored[:, :3].astype(np.float64) / scale, triangles)
             if index is None:
-                return FileMaterial(name, tint, three(0.0), 1.0)
+                return FileMaterial(name, tint or three(1.0), three(0.0), 1.0), colours
         if index is None:
-            return None
+            return None, None
         if (index, tint) not in self._materials:
             notes = Notes() if index in self._seen else self._notes
             self._seen.add(index)
+            own_name = material_name(self._container, index)
             self._materials[index, tint] = read_material(
-                self._container, index, tint, material_name(self._container, index), notes
+                self._container, index, tint, own_name, notes, self._asked
             )
-        return self._materials[index, tint]
+        return self._materials[index, tint], colours
+
+    def _coordinates(
+        self, primitive: dict[str, Any], material: FileMaterial | None, count: int, name: str
+    ) -> Vectors | None:
+        """The texture coordinates that are asked for, (count, 2), v upwards; None if there are none."""
+        number = 0
+        if not self._asked.coordinates:
+            if material is None or material.maps is None:
+                return None
+            number = coordinate_set(self._container, primitive["material"])
+        key = f"TEXCOORD_{number}"
+        if key not in primitive["attributes"]:
+            return None
+        stored = self._container.array(primitive["attributes"][key])
+        if stored.shape != (count, 2):
+            raise ValueError(f"{name}: {key} is {stored.shape}, not ({count}, 2)")
+        return np.stack([stored[:, 0], 1.0 - stored[:, 1]], axis=1)
 
 
 def _triangles(indices: Indices, mode: int, name: str) -> Indices:

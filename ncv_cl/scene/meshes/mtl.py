@@ -10,9 +10,31 @@ from pathlib import Path
 
 import numpy as np
 
-from .common import FALLBACK_ALBEDO, Colour, FileMaterial, Notes, metallic_model, three
+from ..textures.image_file import ImageFiles
+from ..textures.texture import Maps, Texture
+from .common import (
+    DIELECTRIC_REFLECTANCE,
+    FALLBACK_ALBEDO,
+    Colour,
+    FileMaterial,
+    Notes,
+    metallic_model,
+    three,
+)
 from .files import find_file, read_text
-from .textures import mean_colour
+from .mtl_texture import read_texture_statement
+from .textures import (
+    HALF_OPAQUE,
+    MEAN_OF_OTHERS,
+    MEANS,
+    MISSING,
+    NO_METAL,
+    NO_OPACITY,
+    NOT_PLACED_ALIKE,
+    colour_texture,
+    mean_colour,
+    surface_texture,
+)
 
 # Keys without an effect on what is rendered: ambient light, refraction of opaque surfaces.
 _WITHOUT_EFFECT = {"ka", "ni", "tf", "sharpness", "map_ka", "map_aat"}
@@ -24,11 +46,14 @@ _TEXTURES = {
 _LOBES = {"pc": "clear coat", "ps": "sheen", "aniso": "anisotropy"}
 _READ = {"kd", "ks", "ke", "ns", "d", "tr", "illum", "pr", "pm", "pcr", "anisor"}
 _METAL = {"pm", "map_pm", "map_rma", "map_orm"}
+# Textures of roughness and of metal, and which channel of each counts.
+_ROUGHNESS_MAPS = {"map_pr": 0, "map_rma": 0, "map_orm": 1}
+_METAL_MAPS = {"map_pm": 0, "map_rma": 1, "map_orm": 2}
+_READ_TEXTURES = {"map_kd", "map_ks", "map_ke", "map_d", *_ROUGHNESS_MAPS, *_METAL_MAPS}
+# Where all of a material's textures lie is said by the first of these that it has.
+_PLACED = ("map_kd", *_ROUGHNESS_MAPS, *_METAL_MAPS, "map_ke", "map_d")
 # Models without highlights, and those that let light through.
 _DIFFUSE, _TRANSPARENT = (0, 1), (4, 6, 7, 9)
-# Arguments of a texture's options; -o, -s and -t have up to three.
-_OPTIONS = {"-mm": 2, "-o": 3, "-s": 3, "-t": 3}
-
 Statements = dict[str, str]
 
 
@@ -58,68 +83,164 @@ def read_library(path: Path, notes: Notes) -> dict[str, Statements]:
 class MaterialReader:
     """Turns the statements of one material into a `FileMaterial`."""
 
-    def __init__(self, name: str, statements: Statements, folder: Path, notes: Notes) -> None:
+    def __init__(
+        self, name: str, statements: Statements, folder: Path, notes: Notes, images: ImageFiles
+    ) -> None:
         self._name = name
         self._statements = statements
         self._folder = folder
         self._notes = notes
+        self._images = images
         self._numbers: dict[str, list[float]] = {}
+        self._textures = {
+            key: read_texture_statement(text) for key, text in statements.items() if key in _TEXTURES
+        }
 
     def material(self) -> FileMaterial:
         """The material; notes what it has that is not read."""
-        diffuse, specular, emission = self._colours()
+        colour = self._base_texture()
+        surface = self._surface_texture()
+        diffuse = self._diffuse(colour)
+        specular = self._specular()
+        emission, glow = self._emission()
         exponent = self._number("ns", 0.0)
         # Blinn-Phong exponent to GGX: alpha = sqrt(2 / (Ns + 2)), roughness = sqrt(alpha).
         roughness = (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25
+        if surface is not None and set(_ROUGHNESS_MAPS) & set(self._textures):
+            roughness = 1.0
         roughness = self._number("pr", roughness)
-        if _METAL & set(self._statements):
-            diffuse, specular = metallic_model(diffuse, self._metallic())
         self._note_what_is_not_read()
-        return FileMaterial(self._name, diffuse, specular, roughness, emission)
+        metallic = self._metallic(surface) if _METAL & set(self._statements) else None
+        textures = (colour, surface, glow, self._opacity())
+        if metallic is not None and colour is None and surface is None:
+            diffuse, specular = metallic_model(diffuse, metallic)
+            metallic = 0.0
+        elif metallic is not None:
+            specular = three(DIELECTRIC_REFLECTANCE)
+        maps = None
+        if any(one is not None for one in textures):
+            placement = self._textures[self._first_key()].placement
+            maps = Maps(*textures, metallic or 0.0, placement=placement)
+        return FileMaterial(self._name, diffuse, specular, roughness, emission, maps)
 
-    def _metallic(self) -> float:
-        """Pm; 0 under a texture that is not read."""
-        if set(self._statements) & _METAL - {"pm"}:
-            return 0.0
-        return min(max(self._number("pm", 0.0), 0.0), 1.0)
+    def _opacity(self) -> Texture | None:
+        """The texture whose alpha, or grey, makes holes."""
+        if "map_d" not in self._textures:
+            return None
+        statement, label = self._textures["map_d"], self._label("map_d")
+        image = find_file(self._folder, statement.file)
+        texels = None if image is None else self._images.opacity(image)
+        if texels is None or not self._lies_with_the_first("map_d"):
+            self._notes.look(NO_OPACITY, label)
+            return None
+        self._notes.look(HALF_OPAQUE, label)
+        return Texture(texels, (statement.wrap,) * 2)
 
-    def _colours(self) -> tuple[Colour, Colour, Colour]:
-        """Kd, Ks and Ke, each times the mean of its texture."""
+    def _first_key(self) -> str:
+        """The statement of the texture where all others have to lie."""
+        return next(key for key in _PLACED if key in self._textures)
+
+    def _lies_with_the_first(self, *keys: str) -> bool:
+        first = self._textures[self._first_key()].placed
+        return all(self._textures[key].placed == first for key in keys)
+
+    def _emission(self) -> tuple[Colour, Texture | None]:
+        """Ke, and the texture that multiplies it."""
+        factor = self._colour("ke", float("map_ke" in self._statements))
+        if "map_ke" not in self._textures:
+            return factor, None
+        statement = self._textures["map_ke"]
+        image = find_file(self._folder, statement.file)
+        texture = None if image is None else self._images.texture(image, "auto", (statement.wrap,) * 2)
+        if texture is not None and self._lies_with_the_first("map_ke"):
+            return factor, texture
+        self._notes.look(
+            MISSING.format("0") if texture is None else MEAN_OF_OTHERS, self._label("map_ke")
+        )
+        mean = mean_colour(self._images, image) or three(0.0)
+        return three(np.multiply(factor, mean)), None
+
+    def _metallic(self, surface: Texture | None) -> float:
+        """Pm, or the factor of its texture; 0 under a texture that cannot be read."""
+        if not set(self._statements) & set(_METAL_MAPS):
+            return min(max(self._number("pm", 0.0), 0.0), 1.0)
+        return 0.0 if surface is None else min(max(self._number("pm", 1.0), 0.0), 1.0)
+
+    def _diffuse(self, texture: Texture | None) -> Colour:
+        """Kd, the factor of its texture."""
         textured = "map_kd" in self._statements
         diffuse = self._colour("kd", 1.0 if textured else None)
         if diffuse is None:
             self._notes.look(f"materials without Kd, whose albedo is {FALLBACK_ALBEDO:g}", self._name)
-            diffuse = three(FALLBACK_ALBEDO)
-        elif textured and not any(diffuse):
+            return three(FALLBACK_ALBEDO)
+        if textured and not any(diffuse):
             # Many tools write a black colour with a texture; then the texture counts as if the colour
             # were white.
             self._notes.look(
                 "materials with a black Kd beside a texture, which is taken for white", self._name
             )
             diffuse = three(1.0)
-        specular = self._colour("ks", 1.0 if "map_ks" in self._statements else 0.0)
-        emission = self._colour("ke", 1.0 if "map_ke" in self._statements else 0.0)
-        highlights = self._model() not in _DIFFUSE
-        specular = self._textured("map_ks", specular, 0.0) if highlights else three(0.0)
-        return (
-            self._textured("map_kd", diffuse, FALLBACK_ALBEDO),
-            specular,
-            self._textured("map_ke", emission, 0.0),
-        )
+        if textured and texture is None:
+            self._notes.look(MISSING.format(f"{FALLBACK_ALBEDO:g}"), self._label("map_kd"))
+            diffuse = three(np.multiply(diffuse, FALLBACK_ALBEDO))
+        return diffuse
 
-    def _textured(self, key: str, factor: Colour, fallback: float) -> Colour:
-        if key not in self._statements:
+    def _specular(self) -> Colour:
+        """Ks times the mean of its texture; none for a model without highlights."""
+        if self._model() in _DIFFUSE:
+            return three(0.0)
+        return self._times_mean("map_ks", self._colour("ks", float("map_ks" in self._statements)))
+
+    def _base_texture(self) -> Texture | None:
+        """The texture of Kd, if it can be read."""
+        if "map_kd" not in self._textures:
+            return None
+        statement = self._textures["map_kd"]
+        image = find_file(self._folder, statement.file)
+        label = self._label("map_kd")
+        if statement.left_out:
+            self._notes.look("options of textures that are not read", f"{statement.left_out} of {label}")
+        return colour_texture(self._images, image, label, self._notes, (statement.wrap,) * 2)
+
+    def _surface_texture(self) -> Texture | None:
+        """The texture of roughness and metal, where all its parts can be read and are placed alike."""
+        wanted = [
+            next((key for key in maps if key in self._textures), None)
+            for maps in (_ROUGHNESS_MAPS, _METAL_MAPS)
+        ]
+        keys = [key for key in wanted if key is not None]
+        if not keys:
+            return None
+        labels = ", ".join(self._label(key) for key in keys)
+        if not self._lies_with_the_first(*keys):
+            self._notes.look(NOT_PLACED_ALIKE, labels)
+            return None
+        parts = [None if key is None else self._linear(key) for key in wanted]
+        if any(key is not None and part is None for key, part in zip(wanted, parts, strict=True)):
+            self._notes.look(NO_METAL, labels)
+            return None
+        channels = tuple(
+            0 if key is None else maps[key]
+            for key, maps in zip(wanted, (_ROUGHNESS_MAPS, _METAL_MAPS), strict=True)
+        )
+        return surface_texture(parts[0], parts[1], (channels[0], channels[1]))
+
+    def _linear(self, key: str) -> Texture | None:
+        statement = self._textures[key]
+        image = find_file(self._folder, statement.file)
+        wrap = (statement.wrap, statement.wrap)
+        return None if image is None else self._images.texture(image, "linear", wrap)
+
+    def _times_mean(self, key: str, factor: Colour) -> Colour:
+        """A colour times the mean of its texture, if it has one."""
+        if key not in self._textures:
             return factor
-        name = _texture_name(self._statements[key])
-        mean = mean_colour(find_file(self._folder, name))
-        label = f"{_LABELS[key]} {name} of {self._name}"
-        if mean is None:
-            kind = f"textures that are missing or cannot be read, in whose place {fallback:g} stands"
-            self._notes.look(kind, label)
-            mean = three(fallback)
-        else:
-            self._notes.look("textures are not read, their mean colour stands for them", label)
-        return three(np.multiply(factor, mean))
+        mean = mean_colour(self._images, find_file(self._folder, self._textures[key].file))
+        self._notes.look(MISSING.format("0") if mean is None else MEANS, self._label(key))
+        return three(np.multiply(factor, 0.0 if mean is None else mean))
+
+    def _label(self, key: str) -> str:
+        return f"{_LABELS[key]} {self._textures[key].file} of {self._name}"
 
     def _model(self) -> int:
         """The illumination model, `illum`; 2 (with highlights) if there is none."""
@@ -132,12 +253,11 @@ class MaterialReader:
             look("materials that let light through are drawn opaque", name)
         if self._model() == 0:
             look("materials of constant colour (illum 0) are lit as others are", name)
-        for key, text in self._statements.items():
-            if key in ("map_kd", "map_ks", "map_ke"):
+        for key in self._statements:
+            if key in _READ_TEXTURES:
                 continue
             if key in _TEXTURES:
-                label = f"{_LABELS.get(key, key)} {_texture_name(text)} of {name}"
-                look("textures are not read, the surface is as without them", label)
+                look("textures are not read, the surface is as without them", self._label(key))
             elif key in _LOBES:
                 if self._number(key, 0.0):
                     look(f"{_LOBES[key]} is not read", name)
@@ -172,25 +292,3 @@ class MaterialReader:
 
 
 _LABELS = {key: key for key in _TEXTURES} | {"map_kd": "map_Kd", "map_ks": "map_Ks", "map_ke": "map_Ke"}
-
-
-def _texture_name(text: str) -> str:
-    """The file of a texture statement, behind its options."""
-    words = text.split()
-    while len(words) > 1 and words[0].startswith("-"):
-        limit = _OPTIONS.get(words.pop(0), 1)
-        fewest = 1 if limit == 3 else limit
-        for i in range(limit):
-            if len(words) > 1 and (i < fewest or _is_number(words[0])):
-                words.pop(0)
-            else:
-                break
-    return " ".join(words)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ..textures.image_file import ImageFiles
+from ..textures.texture import linear_from_srgb
 from .common import (
+    Asked,
     FileGeometry,
     FileMaterial,
     Indices,
     Notes,
     Vectors,
-    linear_from_srgb,
-    mean_over_area,
+    constant_or_varying,
     three,
 )
 from .files import find_file, read_text
@@ -22,7 +25,7 @@ from .obj_text import Statements, check_finite, references_of, resolve, scan, ta
 from .polygons import triangulate
 
 
-def read_obj(path: Path, notes: Notes) -> list[FileGeometry]:
+def read_obj(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
     """Read an OBJ file; every material it uses gives one geometry, or two if only some have normals.
 
     Raises
@@ -35,7 +38,13 @@ def read_obj(path: Path, notes: Notes) -> list[FileGeometry]:
     positions, colours = _positions(statements, notes)
     normals, _ = table(statements.normals, statements.normal_lines, "vn", (3,))
     references, counts = references_of(statements)
-    resolve(references, counts, statements, len(positions), len(normals))
+    names, of_face = _material_of_face(statements, len(counts))
+    used = [names[i] for i in np.unique(of_face[counts >= 3])]
+    materials = _read_materials(path, statements, used, notes, asked.images)
+    textured = asked.coordinates or any(one is not None and one.maps for one in materials.values())
+    coordinates = _coordinates(statements) if textured else None
+    n_coordinates = None if coordinates is None else len(coordinates)
+    resolve(references, counts, statements, len(positions), len(normals), n_coordinates)
     check_finite(positions, references[:, 0], statements)
     triangles, owner, crossing = triangulate(positions, references[:, 0], counts)
     for kind, faces in (
@@ -45,12 +54,10 @@ def read_obj(path: Path, notes: Notes) -> list[FileGeometry]:
         if faces.size:
             first = f"the first in line {statements.face_lines[faces[0]]}"
             notes.shape(kind, first, len(faces))
-    corners = references[triangles][:, :, [0, 2]]
-    has_normals = (corners[:, :, 1] >= 0).any(axis=1)
+    corners = references[triangles]
+    has_normals = (corners[:, :, 2] >= 0).any(axis=1)
     notes.smoothing = statements.smoothing and not has_normals.all()
-    names, of_face = _material_of_face(statements, len(counts))
     group = 2 * of_face[owner] + has_normals
-    materials = _read_materials(path, statements, [names[i] for i in np.unique(of_face[owner])], notes)
     order = np.argsort(group, kind="stable")
     groups, firsts = np.unique(group[order], return_index=True)
     geometries: list[FileGeometry] = []
@@ -58,11 +65,21 @@ def read_obj(path: Path, notes: Notes) -> list[FileGeometry]:
         return geometries
     for g, picked in zip(groups, np.split(order, firsts[1:]), strict=True):
         chosen = corners[picked]
-        vertices, given, local = _compact(chosen, positions, normals if g % 2 else None)
         material = materials[names[g // 2]]
+        needed = asked.coordinates or (material is not None and material.maps is not None)
+        if g % 2 == 0:
+            chosen[:, :, 2] = -1
+        if not needed or not (chosen[:, :, 1] >= 0).any():
+            chosen[:, :, 1] = -1
+        at, local = _vertices(chosen)
+        geometry = FileGeometry(positions[at[:, 0]], local, material=material)
+        if g % 2:
+            geometry = replace(geometry, normals=np.nan_to_num(_rows(normals, at[:, 2])))
+        if coordinates is not None and (at[:, 1] >= 0).any():
+            geometry = replace(geometry, uv=_rows(coordinates, at[:, 1]))
         if colours is not None:
-            material = _coloured(material, colours, positions, chosen[:, :, 0], path.name, notes)
-        geometries.append(FileGeometry(vertices, local, given, material))
+            geometry = _coloured(geometry, colours[at[:, 0]], path.name, notes)
+        geometries.append(geometry)
     return geometries
 
 
@@ -101,7 +118,7 @@ def _material_of_face(statements: Statements, n_faces: int) -> tuple[list[str], 
 
 
 def _read_materials(
-    path: Path, statements: Statements, used: list[str], notes: Notes
+    path: Path, statements: Statements, used: list[str], notes: Notes, images: ImageFiles
 ) -> dict[str, FileMaterial | None]:
     """The materials that faces use, by name; None where the file gives none."""
     library = {}
@@ -117,7 +134,7 @@ def _read_materials(
             known = known.rpartition("#")[0].strip()
         if known in library:
             keys, folder = library[known]
-            found[name] = MaterialReader(known, keys, folder, notes).material()
+            found[name] = MaterialReader(known, keys, folder, notes, images).material()
         else:
             found[name] = None
             if name:
@@ -145,34 +162,41 @@ def _library_files(folder: Path, line: str, notes: Notes) -> list[Path]:
     return files
 
 
-def _compact(
-    corners: Indices, positions: Vectors, normals: Vectors | None
-) -> tuple[Vectors, Vectors | None, Indices]:
-    """Vertices, normals and triangles of corners (n, 3, 2), indices of positions and of normals."""
-    if normals is None:
-        used, local = np.unique(corners[:, :, 0], return_inverse=True)
-        return positions[used], None, local.reshape(-1, 3)
-    pairs = corners[:, :, 0] * (len(normals) + 1) + corners[:, :, 1] + 1
-    used, local = np.unique(pairs, return_inverse=True)
-    position, normal = np.divmod(used, len(normals) + 1)
-    # Index 0 stands for no normal, which zero does as well.
-    given = np.concatenate([np.zeros((1, 3)), np.nan_to_num(normals)])[normal]
-    return positions[position], given, local.reshape(-1, 3)
+def _vertices(corners: Indices) -> tuple[Indices, Indices]:
+    """Corners (n, 3, 3) of triangles, indices of v, vt and vn, as vertices that differ in one of these.
+
+    Returns
+    -------
+    vertices : int64 (n_vertices, 3)
+    triangles : int64 (n, 3)
+    """
+    rows = corners.reshape(-1, 3)
+    place = rows[:, 0]
+    for column in (1, 2):
+        # Of the rows so far, those that are alike; -1 stands for none.
+        width = int(rows[:, column].max()) + 2
+        if width > 1:
+            _, place = np.unique(place * width + rows[:, column] + 1, return_inverse=True)
+    _, first, local = np.unique(place, return_index=True, return_inverse=True)
+    return rows[first], local.reshape(-1, 3)
 
 
-def _coloured(
-    material: FileMaterial | None,
-    colours: Vectors,
-    positions: Vectors,
-    triangles: Indices,
-    name: str,
-    notes: Notes,
-) -> FileMaterial | None:
-    """Note colours of vertices; their mean is the albedo of a surface without a material."""
-    if material is not None:
-        notes.look("colours of vertices are left out beside a material", material.name)
-        return material
-    mean = three(mean_over_area(colours, positions, triangles))
-    count = len(np.unique(triangles))
-    notes.look("colours of vertices are not read, their mean stands for them", "", count)
-    return FileMaterial(name, mean, three(0.0), 1.0)
+def _rows(values: Vectors, index: Indices) -> Vectors:
+    """Rows of an array, zero where an index is -1."""
+    return np.concatenate([values, np.zeros((1, values.shape[1]))])[index]
+
+
+def _coordinates(statements: Statements) -> Vectors:
+    """Texture coordinates (n, 2); v is 0 where a file has none."""
+    values, _ = table(statements.coordinates, statements.coordinate_lines, "vt", (1, 2, 3))
+    return np.nan_to_num(values[:, :2])
+
+
+def _coloured(geometry: FileGeometry, colours: Vectors, name: str, notes: Notes) -> FileGeometry:
+    """Put in colours of vertices, which are the albedo of a surface without a material."""
+    if geometry.material is not None:
+        notes.look("colours of vertices are left out beside a material", geometry.material.name)
+        return geometry
+    albedo, rows = constant_or_varying(colours, geometry.triangles)
+    material = FileMaterial(name, albedo or three(1.0), three(0.0), 1.0)
+    return replace(geometry, material=material, colours=rows)

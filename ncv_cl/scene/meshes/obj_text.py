@@ -27,7 +27,8 @@ class Statements:
     position_lines: list[int] = field(default_factory=list)
     normals: list[str] = field(default_factory=list)
     normal_lines: list[int] = field(default_factory=list)
-    n_coordinates: int = 0
+    coordinates: list[str] = field(default_factory=list)
+    coordinate_lines: list[int] = field(default_factory=list)
     faces: list[str] = field(default_factory=list)
     face_lines: list[int] = field(default_factory=list)
     # Faces with relative indices, and how many v, vt and vn there were before them.
@@ -50,14 +51,14 @@ def scan(lines: list[str], notes: Notes) -> Statements:
     found = Statements()
     for number, line in enumerate(lines, 1):
         key, _, rest = line.partition(" ")
-        if "#" in rest and key in ("v", "vn", "f", "fo", "s"):
+        if "#" in rest and key in ("v", "vn", "vt", "f", "fo", "s"):
             rest = rest.partition("#")[0]
         if key == "v":
             found.positions.append(rest)
             found.position_lines.append(number)
         elif key == "f" or key == "fo":
             if "-" in rest:
-                before = len(found.positions), found.n_coordinates, len(found.normals)
+                before = len(found.positions), len(found.coordinates), len(found.normals)
                 found.relative.append(len(found.faces))
                 found.before.append(before)
             found.faces.append(rest)
@@ -66,7 +67,8 @@ def scan(lines: list[str], notes: Notes) -> Statements:
             found.normals.append(rest)
             found.normal_lines.append(number)
         elif key == "vt":
-            found.n_coordinates += 1
+            found.coordinates.append(rest)
+            found.coordinate_lines.append(number)
         elif key and not key.startswith("#"):
             _scan_other(key, rest.strip(), number, found, notes)
     return found
@@ -174,12 +176,17 @@ def references_of(statements: Statements) -> tuple[Indices, Indices]:
 
 
 def resolve(
-    found: Indices, counts: Indices, statements: Statements, n_positions: int, n_normals: int
+    found: Indices,
+    counts: Indices,
+    statements: Statements,
+    n_positions: int,
+    n_normals: int,
+    n_coordinates: int | None = None,
 ) -> None:
     """Turn what `references_of` returns in place into indices from 0, -1 where there is none.
 
     Negative ones count backwards from the face. Raises `ValueError`, which names the line, for a
-    vertex or normal that does not exist.
+    vertex or normal that does not exist, and for texture coordinates unless their number is None.
     """
     if statements.relative:
         before = np.zeros((len(counts), 3), dtype=np.int64)
@@ -188,7 +195,10 @@ def resolve(
         # What would lie before the first element is as wrong as what lies behind the last.
         absolute[absolute < 1] = np.iinfo(np.int64).max
         np.copyto(found, absolute, where=found < 0)
-    for column, what, least, total in ((0, "vertex", 1, n_positions), (2, "normal", 0, n_normals)):
+    checked = [(0, "vertex", 1, n_positions), (2, "normal", 0, n_normals)]
+    if n_coordinates is not None:
+        checked.append((1, "texture coordinate", 0, n_coordinates))
+    for column, what, least, total in checked:
         index = found[:, column]
         bad = np.flatnonzero((index < least) | (index > total))
         if bad.size:

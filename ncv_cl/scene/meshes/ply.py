@@ -5,31 +5,37 @@ from __future__ import annotations
 import codecs
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyListProperty, PlyParseError
 
+from ..textures.texture import Maps, linear_from_srgb
 from .common import (
+    FALLBACK_ALBEDO,
+    Asked,
     FileGeometry,
     FileMaterial,
     Indices,
     Notes,
     Vectors,
     check_triangles,
-    linear_from_srgb,
-    mean_over_area,
+    constant_or_varying,
     three,
 )
+from .files import find_file
 from .polygons import strip_triangles, triangulate
+from .textures import MISSING, colour_texture
 
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
 _COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_COORDINATES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _LONGEST_HEADER = 1 << 16
 _NORMALS = ("nx", "ny", "nz")
 
 
-def read_ply(path: Path, notes: Notes) -> list[FileGeometry]:
+def read_ply(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
     """Read a PLY file as one geometry.
 
     Raises
@@ -47,11 +53,13 @@ def read_ply(path: Path, notes: Notes) -> list[FileGeometry]:
     normals = _columns(vertex, _NORMALS) if set(_NORMALS) <= _names(vertex) else None
     if normals is not None:
         normals = np.where(np.isfinite(normals), normals, 0.0)
-    material = _material(path.name, data, vertices, triangles, face, notes)
+    geometry = FileGeometry(vertices, triangles, normals, uv=_coordinates(vertex))
+    geometry = _coloured(geometry, path.name, data, face)
+    geometry = _textured(geometry, path, data, notes, asked)
     for element in data.elements:
         if element.name not in ("vertex", "face", "tristrips") and element.count:
             notes.shape("elements that are left out", element.name, element.count)
-    return [FileGeometry(vertices, triangles, normals, material)]
+    return [geometry]
 
 
 def _read(path: Path) -> PlyData:
@@ -135,28 +143,54 @@ def _faces(element: PlyElement) -> tuple[Indices, Indices]:
     return np.concatenate(column).astype(np.int64), counts
 
 
-def _material(
-    name: str, data: PlyData, vertices: Vectors, triangles: Indices, face: Indices, notes: Notes
-) -> FileMaterial | None:
-    """A material of the mean colour, if vertices or faces have colours; notes textures."""
-    textures = [c for c in data.comments if c.lower().startswith("texturefile")]
-    for comment in textures:
-        notes.look("textures are not read, the surface is as without them", comment)
+def _coordinates(vertex: PlyElement) -> Vectors | None:
+    """Texture coordinates (n, 2) of vertices; None if they have none."""
+    for names in _COORDINATES:
+        if set(names) <= _names(vertex):
+            return np.nan_to_num(_columns(vertex, names))
+    return None
+
+
+def _coloured(geometry: FileGeometry, name: str, data: PlyData, face: Indices) -> FileGeometry:
+    """A geometry with the colours of its vertices or faces, if they have any, as its material."""
     colours = _colours(data["vertex"])
-    owner = "of vertices"
     if colours is None and "face" in data and np.all(face >= 0):
         of_face = _colours(data["face"])
         if of_face is not None:
-            # As if every triangle had three vertices of its own.
-            colours, owner = np.repeat(of_face[face], 3, axis=0), "of faces"
-            vertices = vertices[triangles].reshape(-1, 3)
-            triangles = np.arange(len(vertices)).reshape(-1, 3)
+            # Every triangle gets three vertices of its own.
+            colours = np.repeat(of_face[face], 3, axis=0)
+            corners = geometry.triangles.reshape(-1)
+            rows = {
+                key: None if value is None else value[corners]
+                for key, value in (("normals", geometry.normals), ("uv", geometry.uv))
+            }
+            triangles = np.arange(len(corners)).reshape(-1, 3)
+            geometry = replace(
+                geometry, vertices=geometry.vertices[corners], triangles=triangles, **rows
+            )
     if colours is None:
-        return None
-    kind = f"colours {owner} are not read, their mean stands for them"
-    notes.look(kind, "", data["vertex" if owner == "of vertices" else "face"].count)
-    mean = mean_over_area(colours, vertices, triangles)
-    return FileMaterial(name, three(mean), three(0.0), 1.0)
+        return geometry
+    albedo, varying = constant_or_varying(colours, geometry.triangles)
+    material = FileMaterial(name, albedo or three(1.0), three(0.0), 1.0)
+    return replace(geometry, material=material, colours=varying)
+
+
+def _textured(
+    geometry: FileGeometry, path: Path, data: PlyData, notes: Notes, asked: Asked
+) -> FileGeometry:
+    """A geometry with the image that a comment names, where its vertices have coordinates."""
+    comments = [c for c in data.comments if c.lower().startswith("texturefile")]
+    for comment in comments[1:] if geometry.uv is not None else comments:
+        notes.look("textures are not read, the surface is as without them", comment)
+    if not comments or geometry.uv is None:
+        return geometry
+    file = find_file(path.parent, comments[0][len("texturefile") :])
+    texture = colour_texture(asked.images, file, comments[0], notes)
+    if texture is None:
+        notes.look(MISSING.format(f"{FALLBACK_ALBEDO:g}"), comments[0])
+        return geometry
+    material = geometry.material or FileMaterial(path.name, three(1.0), three(0.0), 1.0)
+    return replace(geometry, material=replace(material, maps=Maps(texture)))
 
 
 def _colours(element: PlyElement) -> Vectors | None:

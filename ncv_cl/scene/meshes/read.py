@@ -15,19 +15,23 @@ from ..geometry import (
     is_invertible,
     normalised,
 )
-from .common import Colour, FileGeometry, FileMaterial, Notes, Vectors, sentences, three
+from ..textures.image_file import ImageFiles
+from .common import Asked, Colour, FileGeometry, FileMaterial, Notes, Vectors, sentences, three
 from .gltf import read_gltf
 from .obj import read_obj
 from .ply import read_ply
 from .stl import read_stl
+from .textures import without_textures
 
-_READERS: dict[str, Callable[[Path, Notes], list[FileGeometry]]] = {
+_READERS: dict[str, Callable[[Path, Notes, Asked], list[FileGeometry]]] = {
     ".obj": read_obj,
     ".ply": read_ply,
     ".stl": read_stl,
     ".gltf": read_gltf,
     ".glb": read_gltf,
 }
+# Suffixes of the files that are read.
+KINDS = tuple(_READERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,19 +60,26 @@ class FileMeshes:
     notes: list[str]
 
 
-def read_meshes(path: Path, transform: Vectors, smooth: bool | None) -> FileMeshes:
+def read_meshes(
+    path: Path,
+    transform: Vectors,
+    smooth: bool | None,
+    images: ImageFiles | None = None,
+    coordinates: bool = False,
+) -> FileMeshes:
     """Read a mesh file and place its geometries in the world.
 
     Parameters
     ----------
     path : Path
-        OBJ, PLY, STL, glTF or GLB. Transforms of nodes in the file are honoured; of textures only
-        the mean colour is.
+        OBJ, PLY, STL, glTF or GLB. Transforms of nodes in the file are honoured.
     transform : float64 (4, 4)
         Affine map from the file's space to the world, for column vectors.
     smooth : bool or None
         False: flat. True: the file's vertex normals, or where it has none angle-weighted averages
         over the triangles that meet in a position. None: the file's normals if any, else flat.
+    images, coordinates
+        As in `Asked`.
 
     Returns
     -------
@@ -88,7 +99,7 @@ def read_meshes(path: Path, transform: Vectors, smooth: bool | None) -> FileMesh
         raise ValueError(f"cannot be read as a mesh: {path.suffix or 'its kind'} is none of {kinds}")
     notes = Notes()
     try:
-        geometries = reader(path, notes)
+        geometries = reader(path, notes, Asked(images or ImageFiles(), coordinates))
     except OSError as error:
         raise ValueError(f"cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
@@ -117,12 +128,15 @@ def _placed(
     for geometry in geometries:
         if geometry.material not in materials:
             materials[geometry.material] = _usable(geometry.material, notes)
+        material = materials[geometry.material]
+        if material is not None and material.maps is not None and geometry.uv is None:
+            material = without_textures(material, notes)
         whole = transform @ geometry.transform
         if is_invertible(whole):
             if smooth or (smooth is None and geometry.normals is not None):
                 nodes.setdefault(whole.tobytes(), []).append(len(meshes))
             mesh = _world_mesh(geometry, whole, smooth)
-            meshes.append(FileMesh(mesh, materials[geometry.material]))
+            meshes.append(FileMesh(mesh, material))
         else:
             notes.shape("meshes that their node flattens are left out", geometry.name)
     if not meshes:
@@ -145,7 +159,7 @@ def _world_mesh(geometry: FileGeometry, transform: Vectors, smooth: bool | None)
     normals = np.zeros_like(vertices)
     if geometry.normals is not None and smooth is not False:
         normals = normalised(geometry.normals @ np.linalg.inv(linear))
-    return Mesh(vertices, normals, triangles)
+    return Mesh(vertices, normals, triangles, geometry.uv, geometry.colours)
 
 
 def _fill_in_normals(meshes: list[Mesh]) -> None:

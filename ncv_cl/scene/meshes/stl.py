@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .common import FileGeometry, Notes, Vectors, check_triangles
+from .common import Asked, FileGeometry, Notes, Vectors, check_triangles
 from .files import decode
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -17,8 +17,8 @@ _FACET = re.compile(r"^[ \t]*facet\b", re.MULTILINE | re.IGNORECASE)
 _END = re.compile(r"^[ \t]*endsolid\b", re.MULTILINE | re.IGNORECASE)
 
 
-def read_stl(path: Path, notes: Notes) -> list[FileGeometry]:
-    """Read an STL file; all its solids are one geometry.
+def read_stl(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
+    """Read an STL file; all its solids are one geometry. It has no texture coordinates.
 
     Normals are those of the triangles, whatever the file says.
 

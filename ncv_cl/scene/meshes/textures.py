@@ -1,55 +1,105 @@
-"""The mean colour of an image, which stands for a texture as long as textures are not read."""
+"""Textures of mesh files: decoded, or replaced by their mean where they cannot be shown."""
 
 from __future__ import annotations
 
-import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
 from numpy.typing import NDArray
 
-from .common import Colour, linear_from_srgb, three
+from ..textures.image_file import ImageFiles
+from ..textures.texture import Maps, Texture
+from .common import Colour, FileMaterial, Notes, three
+
+# A file, or its content; None if it is not there.
+Image = Path | bytes | None
+MISSING = "textures that are missing or cannot be read, in whose place {} stands"
+MEANS = "textures are not read, their mean colour stands for them"
+HALF_OPAQUE = "materials that blend are opaque, with holes where their opacity is below a half"
+NO_OPACITY = "textures of opacity that are missing or not placed as the colour is, the surface is opaque"
+MEAN_OF_OTHERS = "textures that are not placed as the colour is, their mean colour stands for them"
+NOT_PLACED_ALIKE = "textures of metal that are not placed as the colour is, the surface is no metal"
+NO_METAL = "textures of metal that are missing or cannot be read, the surface is no metal"
 
 
-def mean_colour(image: Path | bytes | None) -> Colour | None:
-    """Mean linear RGB of an image file or its content, or None if it cannot be read.
+def colour_texture(
+    images: ImageFiles,
+    image: Image,
+    label: str,
+    notes: Notes,
+    wrap: tuple[str, str] = ("repeat", "repeat"),
+    nearest: bool = False,
+) -> Texture | None:
+    """A texture of a base colour, or None if it cannot be read; notes colours that are clamped."""
+    texels = None if image is None else images.texels(image)
+    if texels is None:
+        return None
+    colours = texels[:, :, :3]
+    if np.min(colours) < 0 or np.max(colours) > 1:
+        notes.look("textures with colours outside [0, 1], which are clamped", label)
+        texels = np.clip(texels, 0, 1)
+    return Texture(texels, wrap, nearest)
 
-    Integer formats are taken for sRGB, floating-point ones for linear. Pixels count by their alpha.
+
+def mean_colour(images: ImageFiles, image: Image) -> Colour | None:
+    """Mean linear RGB of an image, or None if it cannot be read. Pixels count by their alpha."""
+    texels = None if image is None else images.texels(image)
+    return None if texels is None else three(_mean(texels)[:3])
+
+
+def surface_texture(
+    roughness: Texture | None, metal: Texture | None, channels: tuple[int, int]
+) -> Texture | None:
+    """One texture, as `Maps.surface` is, of the images of roughness and of metal.
+
+    Parameters
+    ----------
+    channels : (int, int)
+        Which channel of each counts.
     """
-    if image is None:
+    if roughness is None and metal is None:
         return None
-    if isinstance(image, bytes):
-        with tempfile.TemporaryDirectory() as folder:
-            # The reader finds the format by the content.
-            path = Path(folder) / "image"
-            path.write_bytes(image)
-            return mean_colour(path)
-    # Else colours come multiplied by alpha.
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
-    source = oiio.ImageInput.open(str(image), config)
-    if source is None:
-        oiio.geterror()
-        return None
-    try:
-        linear = source.spec().format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
-        pixels = source.read_image(oiio.FLOAT if linear else oiio.UINT8)
-    finally:
-        source.close()
-    if pixels is None:
-        return None
-    pixels = pixels.reshape(-1, pixels.shape[-1])
-    n_channels = pixels.shape[1]
-    alpha = pixels[:, -1] if n_channels in (2, 4) and pixels[:, -1].any() else None
-    mean = [_mean(channel, alpha, linear) for channel in pixels.T[: 3 if n_channels > 2 else 1]]
-    return three(mean) if np.isfinite(mean).all() else None
+    largest = max(
+        (one for one in (roughness, metal) if one is not None), key=lambda one: one.texels.size
+    )
+    texels = np.ones_like(largest.texels)
+    for target, one, channel in ((1, roughness, channels[0]), (2, metal, channels[1])):
+        if one is not None:
+            texels[:, :, target] = _resampled(one, texels.shape[:2])[:, :, channel]
+    return replace(largest, texels=np.clip(texels, 0, 1))
 
 
-def _mean(channel: NDArray, alpha: NDArray | None, linear: bool) -> float:
-    """Weighted mean of float32 (n,), or of the light that sRGB uint8 (n,) stand for."""
-    if linear:
-        return float(np.average(channel.astype(np.float64), weights=alpha))
-    decoded = linear_from_srgb(np.arange(256) / 255.0)
-    weights = np.bincount(channel, alpha, minlength=256)
-    return float(weights @ decoded / weights.sum())
+def without_textures(material: FileMaterial, notes: Notes) -> FileMaterial:
+    """A textured material for a mesh without coordinates: means stand for the textures."""
+    maps = material.maps
+    if not maps.textures:
+        return material
+    kind = "textures of meshes without texture coordinates, their mean stands for them"
+    notes.look(kind, material.name)
+    colour, surface, emission = (
+        np.ones(4) if one is None else _mean(one.texels)
+        for one in (maps.colour, maps.surface, maps.emission)
+    )
+    return replace(
+        material,
+        albedo=three(np.multiply(material.albedo, colour[:3])),
+        roughness=float(material.roughness * surface[1]),
+        emission=three(np.multiply(material.emission, emission[:3])),
+        maps=Maps(metallic=float(maps.metallic * surface[2])),
+    )
+
+
+def _resampled(texture: Texture, shape: tuple[int, int]) -> NDArray:
+    """A texture's texels at the centres of `shape`'s."""
+    if texture.texels.shape[:2] == shape:
+        return texture.texels
+    rows, columns = ((np.arange(size) + 0.5) / size for size in shape)
+    v, u = np.meshgrid(rows, columns, indexing="ij")
+    return texture.at(np.stack([u, v], axis=2).reshape(-1, 2)).reshape(*shape, 4)
+
+
+def _mean(texels: NDArray[np.float16]) -> NDArray[np.float64]:
+    """Mean of texels (4,), by their alpha unless that is 0 everywhere."""
+    rows = texels.reshape(-1, 4).astype(np.float64)
+    return np.average(rows, axis=0, weights=rows[:, 3] if rows[:, 3].any() else None)
