@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reference import camera_at, light_at, mesh_scene, quad
@@ -38,7 +40,10 @@ def points(one_device):
     surface[SURFACE["outgoing"]] = [[0], [0], [1]]
     surface[SURFACE["outgoing"], -1] = [0, 0, -1]
     background = SIZE[0] * SIZE[1] * SUPERSAMPLE**2 - len(CELL)
-    return ShadingPoints(HostArray.of(one_device, surface), CELL, LIGHT, ACTIVE, background)
+    material = np.zeros(len(CELL), np.int32)
+    return ShadingPoints(
+        HostArray.of(one_device, surface), CELL, LIGHT, ACTIVE, background, material=material
+    )
 
 
 def some_estimate(channels=3, points=ACTIVE, samples=10, seed=2):
@@ -75,6 +80,14 @@ def test_lights_in_view_add_their_radiance_on_the_emitting_side(scene, points):
     expected[0, 0] = np.array([40, 50, 60]) / 4
     np.testing.assert_allclose(lit.pixels - dark.pixels, expected, atol=1e-5)
     np.testing.assert_array_equal(lit.variance, dark.variance)
+
+
+def test_sensors_on_lights_emit_nothing(scene, points):
+    sensors = replace(points, material=None)
+    np.testing.assert_array_equal(
+        resolve_image(scene, asked(DirectLight()), sensors, some_estimate()).pixels,
+        resolve_image(scene, asked(AmbientOcclusion()), sensors, some_estimate()).pixels,
+    )
 
 
 def test_layers_average_all_hits(scene, points):

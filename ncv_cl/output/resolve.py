@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..integrands.emitted import emitted_light
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
@@ -25,6 +26,15 @@ def estimate_of(
     if residual is None or integral is None:
         return plain.mean, plain.variance_of_mean
     return integral + residual.mean, residual.variance_of_mean
+
+
+def with_direct(
+    mean: np.ndarray, variance: np.ndarray, direct: Estimate | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The two with direct light added, if that is estimated apart: its samples are independent."""
+    if direct is None:
+        return mean, variance
+    return mean + direct.mean, variance + direct.variance_of_mean
 
 
 def combine(
@@ -128,26 +138,15 @@ def resolve_image(
     integrand, samples = settings.integrand, float(settings.spp)
     grid = PixelGrid(points, settings.size, settings.sampling.supersample)
     active, everything = slice(0, points.active), slice(0, points.total)
-    mean, variance = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
-    if direct is not None:
-        # Of other samples: errors are independent.
-        mean, variance = mean + direct.mean, variance + direct.variance_of_mean
+    own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
+    mean, variance = with_direct(*own, direct)
     pixels = grid.average(mean, active) + np.zeros(3)
     # Errors of a pixel's points are independent: variances add with the square of the weight.
     pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
 
-    outgoing = points.rows("outgoing")
-    lit = np.flatnonzero(points.light >= 0)
-    if lit.size:
-        emitted = np.zeros((3, points.total), np.float32)
-        emitted[:, lit] = integrand.emitted(scene, points.light[lit], outgoing[:, lit]).T
-        pixels += grid.average(emitted, everything)
-    if points.material is not None:
-        glow = integrand.glow(scene, points.material)
-        if points.emission_factor is not None:
-            glow = glow * points.emission_factor
-        if glow.any():
-            pixels += grid.average(glow.T, everything)
+    emitted = emitted_light(scene, integrand, points)
+    if emitted.any():
+        pixels += grid.average(emitted.T, everything)
 
     layers = {
         "albedo": grid.average(points.rows("albedo"), everything),

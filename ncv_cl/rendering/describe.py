@@ -29,9 +29,7 @@ def describe(
     total : float
         Seconds of the whole render.
     """
-    points, rays, drawn = problem.points, problem.source.rays, outcome.drawn
-    if problem.apart is not None:
-        rays = rays + problem.apart.source.rays
+    points, rays, drawn = problem.points, problem.rays, outcome.drawn
     stats: dict[str, object] = {"seconds": seconds_of(watch, rays, total)}
     stats |= statistics(
         points,

@@ -7,6 +7,7 @@ import numpy as np
 from ..estimation.direct import direct_samples
 from ..host.clock import Stopwatch
 from ..integrands import Integrand
+from ..integrands.emitted import emitted_light
 from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
 from ..points.arrays import PointArrays, place_points
@@ -112,7 +113,7 @@ def prepare(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
-        glow=integrand.glow(scene, points.material[: points.active]).T,
+        glow=emitted_light(scene, integrand, points)[: points.active].T,
         apart=apart,
     )
 

@@ -11,7 +11,7 @@ from ..network.encode import GridCube, varying_inputs
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..points.points import ShadingPoints
-from .samples import Batches
+from .samples import Batches, RayCount
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Problem:
     narrowest : float
         Width of the narrowest light's strip of the square; 1 without lights.
     glow : ndarray, optional
-        float32 (channels, points.active), what surfaces add to the integrals by themselves.
+        float32 (3, points.active), what surfaces add to the integrals by themselves.
     apart : Apart, optional
         A part of the integrals that `source` leaves out.
     """
@@ -84,6 +84,12 @@ class Problem:
     def means(self) -> HostArray:
         """Means of the integrands without shadows, float32 (channels, points.active)."""
         return self.source.unshadowed_means()
+
+    @property
+    def rays(self) -> RayCount:
+        """The rays of all samples so far."""
+        own = self.source.rays
+        return own if self.apart is None else own + self.apart.source.rays
 
     def factor(self, demodulated: bool) -> HostArray | None:
         """The factor of a demodulated network's output: `means`; None for others."""

@@ -11,10 +11,11 @@ import numpy as np
 
 from ..host.clock import Clock, Run, never
 from ..integrands import Integrand
+from ..integrands.emitted import emitted_light
 from ..opencl.choose import choose_device
 from ..output.keep import Keep
-from ..output.report import finite, seconds_of, statistics
-from ..output.resolve import combine, estimate_of
+from ..output.report import about_direct, finite, seconds_of, statistics
+from ..output.resolve import combine, estimate_of, with_direct
 from ..points.arrays import (
     OffSurfaceError,
     PointArrays,
@@ -215,17 +216,14 @@ def _values(
     """Estimates and variances, float64 (points, channels), of the points that were given in `cells`."""
     points, drawn, integrand = problem.points, outcome.drawn, settings.integrand
     estimates = estimate_of(drawn.plain, drawn.residual, outcome.integral)
-    mean, variance = combine(*estimates, outcome.before, float(settings.spp), outcome.by_count)
+    own = combine(*estimates, outcome.before, float(settings.spp), outcome.by_count)
+    mean, variance = with_direct(*own, drawn.direct)
     found = np.zeros((2, points.total, integrand.channels))
     found[:, : points.active] = mean.T, variance.T
-    if points.material is not None:
-        lit = np.flatnonzero(points.light >= 0)
-        emitted = integrand.emitted(scene, points.light[lit], points.rows("outgoing")[:, lit])
-        added = integrand.glow(scene, points.material)
-        added[lit] += emitted
-        if added.any():
-            found = np.broadcast_to(found, (2, points.total, 3)).copy()
-            found[0] += added
+    emitted = emitted_light(scene, integrand, points)
+    if emitted.any():
+        found = np.broadcast_to(found, (2, points.total, 3)).copy()
+        found[0] += emitted
     place = np.empty(settings.columns * settings.rows, np.int64)
     place[points.cell] = np.arange(points.total)
     mean, variance = found[:, place[cells]]
@@ -234,7 +232,7 @@ def _values(
 
 def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> dict[str, object]:
     """Counts as of a render, and what is particular to points."""
-    points, rays, drawn = problem.points, problem.source.rays, outcome.drawn
+    points, rays, drawn = problem.points, problem.rays, outcome.drawn
     found = statistics(
         points,
         rays,
@@ -248,6 +246,8 @@ def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> 
     found["seconds"] = seconds_of(run.watch, rays, 0.0)
     if outcome.training:
         found["training"] = outcome.training
+    if problem.apart is not None and drawn.direct is not None:
+        found["direct"] = about_direct(problem.apart, drawn.direct, settings)
     if settings.method == "auto":
         found["auto"] = outcome.plan.as_dict()
     return found | {
