@@ -1,7 +1,8 @@
 """From how many samples on a control variate pays: the thresholds of method "auto".
 
 Plain Monte Carlo and the control variate render the shipped scenes at several sizes and numbers of
-samples, both with the same seeds, in turns, kernels compiled before. A picture's error is the mean
+samples, both with the same seeds, in turns, kernels compiled before, with visibility "auto": plain Monte
+Carlo along lines and by slices where these pay. A picture's error is the mean
 variance over renders of different seeds, so no reference is needed. Seconds are the processor time of
 the process (all threads), the least over the seeds: a busy machine changes it little. `--wall` takes
 elapsed time instead, for a quiet machine or a GPU.
@@ -82,17 +83,22 @@ def measure(
         return clock() - began, image
 
     for method in METHODS:
-        _, image = render(method, plan.spps[size][0], 0)
+        _, image = render(method, plan.spps[size][-1], 0)
     points = image.stats["points"]
     most = min(plan.most[integrand], plan.most.get(sampler, math.inf))
     spps = [spp for spp in plan.spps[size] if spp * points <= most]
     runs = {(method, spp): [] for method in METHODS for spp in spps}
+    sliced = dict.fromkeys(runs, False)
     for seed in SEEDS:
         for method, spp in runs:
             seconds, image = render(method, spp, seed)
             runs[method, spp].append((seconds, image.pixels.astype(np.float64)))
+            sliced[method, spp] = image.stats.get("slices", {}).get("a_point", 0) > 0
     found = {
-        method: [{"spp": spp, "stages": {}, **summary(runs[method, spp])} for spp in spps]
+        method: [
+            {"spp": spp, "stages": {}, "sliced": sliced[method, spp], **summary(runs[method, spp])}
+            for spp in spps
+        ]
         for method in METHODS
     }
     return [
@@ -103,6 +109,7 @@ def measure(
             "size": size,
             "spp": spp,
             "samples": spp * points,
+            "sliced": found["mc"][i]["sliced"],
             **{f"{m} seconds": found[m][i]["seconds"] for m in METHODS},
             **{f"{m} mse": found[m][i]["mse"] for m in METHODS},
             **ratios(found, i),
@@ -149,7 +156,7 @@ def show(rows: list[dict]) -> None:
     """Print the table, and each kind's threshold."""
     for row in rows:
         print(line(row))
-    kinds = [kind_of(INTEGRANDS[row["integrand"]](), row["sampler"]) for row in rows]
+    kinds = [kind_of(INTEGRANDS[row["integrand"]](), row["sampler"], row["sliced"]) for row in rows]
     for kind in dict.fromkeys(kinds):
         own = [row for row, its in zip(rows, kinds, strict=True) if its == kind]
         threshold = threshold_of(own)
@@ -159,6 +166,15 @@ def show(rows: list[dict]) -> None:
         for name, limit in (("this", threshold), ("tuning.py", now), ("mc", math.inf), ("ncv", 0)):
             got = choice(own, limit)
             print(f"  {name:9}: ratio {min(got):.2f} at worst, {np.exp(np.mean(np.log(got))):.2f} mean")
+
+
+def write(file: Path, device: Device, rows: list[dict]) -> None:
+    """Write rows to a file, in place of those of the same cases that it holds."""
+    cases = {(row["scene"], row["integrand"]) for row in rows}
+    old = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.exists() else []
+    kept = [row for row in old if (row["scene"], row["integrand"]) not in cases]
+    results = {"device": device.identity, "rows": kept + rows}
+    file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
 def line(row: dict) -> str:
@@ -173,7 +189,7 @@ def line(row: dict) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
-    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--json", metavar="FILE", help="write the results here, over those of the cases")
     parser.add_argument("--table", metavar="FILE", help="what --json wrote, instead of measuring")
     parser.add_argument("--wall", action="store_true", help="elapsed time, not that of processors")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
@@ -192,8 +208,7 @@ def main() -> None:
                 rows += measure(device, case, size, sampler, plan, clock)
                 print(f"{case[0]} {case[1]} {sampler} {size}", flush=True)
         if options.json:
-            results = {"device": device.identity, "rows": rows}
-            Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            write(Path(options.json), device, rows)
     print(device.identity)
     show(rows)
 

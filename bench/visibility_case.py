@@ -15,14 +15,14 @@ class Case:
     ----------
     name : str
         Of a shipped scene.
-    integrand : str
+    integrand : str or Integrand
     size : int
         Pixels a side.
     samples : int
         Lines or slices of the reference, which is compared with 4096 samples traced by embree.
     """
 
-    def __init__(self, name: str, integrand: str, size: int, samples: int) -> None:
+    def __init__(self, name: str, integrand: str | ncv.Integrand, size: int, samples: int) -> None:
         self.name, self._integrand, self._size = name, integrand, size
         self._scene = ncv.load_scene(SCENES / f"{name}.toml")
         self._truth = self.render("lines", samples, 991).pixels.astype(np.float64)

@@ -41,6 +41,7 @@ typedef struct {
   SlicePlane beside, above, below; /* the last two are those through `low` and `high` */
   float radius, unit;
   float low, high;
+  uint leaves; /* that were met */
   uint count;
   float first[MOST_BLOCKED], last[MOST_BLOCKED];
 } Slice;
@@ -204,21 +205,31 @@ SliceCorner crossing(const SliceCorner a, const SliceCorner b) {
   return (SliceCorner){of_a + of_b, a_x + b_x, a_h + b_h};
 }
 
-SliceCorner divided(const SliceCorner a) { return (SliceCorner){(real)1.0f, a.x / a.side, a.h / a.side}; }
+/* Which ends can be outside of the disc about the origin. */
+whole reaches_beyond(const float radius, const SliceCorner a) { return fabs(a.x) + fabs(a.h) > radius * a.side; }
 
-/* Shortens segments to what lies in the disc about the origin; returns for which that is something. */
+SliceCorner divided(const SliceCorner a) {
+  const real inverse = 1.0f / a.side;
+  return (SliceCorner){(real)1.0f, a.x * inverse, a.h * inverse};
+}
+
+/* Moves ends of segments that are outside of the disc about the origin onto it, and leaves others as they are; returns
+ * for which something is inside. */
 whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
-  const real x = b->x - a->x;
-  const real h = b->h - a->h;
+  const SliceCorner from = divided(*a);
+  const SliceCorner to = divided(*b);
+  const real x = to.x - from.x;
+  const real h = to.h - from.h;
   const real length2 = x * x + h * h;
-  const real off = a->x * b->h - b->x * a->h;
+  const real inverse = 1.0f / length2;
+  const real off = from.x * to.h - to.x * from.h;
   const real root2 = length2 * (radius * radius) - off * off;
   const real root = sqrt(max((real)0.0f, root2));
-  const real middle = -(a->x * x + a->h * h);
-  const real enters = (middle - root) / length2;
-  const real leaves = (middle + root) / length2;
-  const SliceCorner start = {(real)0.0f, FMA(enters, x, a->x), FMA(enters, h, a->h)};
-  const SliceCorner end = {(real)0.0f, FMA(leaves, x, a->x), FMA(leaves, h, a->h)};
+  const real middle = -(from.x * x + from.h * h);
+  const real enters = (middle - root) * inverse;
+  const real leaves = (middle + root) * inverse;
+  const SliceCorner start = {(real)1.0f, FMA(enters, x, from.x), FMA(enters, h, from.h)};
+  const SliceCorner end = {(real)1.0f, FMA(leaves, x, from.x), FMA(leaves, h, from.h)};
   *a = select_corner(*a, start, enters > 0.0f);
   *b = select_corner(*b, end, leaves < 1.0f);
   return (root2 > 0.0f) && (enters < 1.0f) && (leaves > 0.0f);
@@ -268,10 +279,16 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     SliceCorner a = crossing(alone, select_corner(corner[1], corner[0], second || third));
     SliceCorner b = crossing(alone, select_corner(corner[2], corner[1], third));
     if (slice->radius < INFINITY) {
-      a = divided(a);
-      b = divided(b);
-      const whole is_near = clip_to_disc(slice->radius * slice->unit, &a, &b);
-      meets = meets && is_near;
+      const float radius = slice->radius * slice->unit;
+      const whole far = reaches_beyond(radius, a) || reaches_beyond(radius, b);
+      if (ANY(meets && far)) {
+        SliceCorner clipped_a = a;
+        SliceCorner clipped_b = b;
+        const whole is_near = clip_to_disc(radius, &clipped_a, &clipped_b);
+        meets = meets && (is_near || !far);
+        a = select_corner(a, clipped_a, far);
+        b = select_corner(b, clipped_b, far);
+      }
     }
     real lower, upper;
     const whole blocks = rises_of(a, b, &lower, &upper);
@@ -312,6 +329,7 @@ bool walk_slice(Slice *slice, global const uint *restrict levels, global const f
       found[level] = boxes_in_slice(slice, own, level, distances[level]);
     } else {
       const uint child = node[0] * CHILDREN + take_lowest(&found[0]);
+      ++slice->leaves;
       if (!meet_triangles(slice, triangles + child * (ulong)(9 * CHILDREN))) return false;
       if (all_blocked(slice)) return true;
     }
@@ -336,7 +354,7 @@ Slice slice_at(const ShadingPoint *p, const float radius, const float unit, cons
   const float rise = dot(slice.up, p->geometric_normal);
   slice.low = 1.0f / (1.0f + rise / fall);
   slice.high = 1.0f;
-  slice.count = 0;
+  slice.leaves = slice.count = 0;
   narrow_planes(&slice);
   return slice;
 }

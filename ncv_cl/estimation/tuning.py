@@ -30,6 +30,7 @@ import math
 SAMPLES_THAT_PAY = 1 << 22
 NOISY_SAMPLES_THAT_PAY = 1 << 20
 LIGHT_SAMPLES_THAT_PAY = math.inf
+SLICES_THAT_PAY = math.inf
 
 # Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
 # spread ones, whose error falls faster than 1 / n, a little less: python bench/bench_tuning.py

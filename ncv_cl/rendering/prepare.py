@@ -14,7 +14,7 @@ from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.lines import lines_pay, most_on_lines
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
-from ..visibility.slices import Slices
+from ..visibility.slices import SliceChoice, Slices, boxes_pay, slices_for
 from ..visibility.tuning import MOST_LIGHTS
 
 
@@ -59,10 +59,10 @@ def prepare(
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
-    slices = None
-    if integrand.promises("sliced") and settings.sampling.visibility == "lines":
+    slices, choice = None, None
+    if integrand.promises("sliced") and points.active:
         with watch("slices"):
-            slices = Slices(device, scene)
+            slices, choice = _slices(device, scene, settings, points)
     source = sample_source(
         device,
         scene,
@@ -88,6 +88,7 @@ def prepare(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
+        slices=choice,
     )
 
 
@@ -101,6 +102,27 @@ def _occluders(
         if visibility == "lines" or lines_pay(occluders.unknown, points.active):
             return occluders, True
     return Occluders(device, scene, points, integrand, MOST_OCCLUDERS), False
+
+
+def _slices(
+    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[Slices | None, SliceChoice | None]:
+    """Boxes to find slices in, if these are to be taken; and of "auto", how many, if it looked.
+
+    A network that is asked for gets rays: of slices it takes off no more than a few more of them.
+    """
+    sampling, spp = settings.sampling, settings.spp
+    if sampling.visibility == "lines":
+        return Slices(device, scene), None
+    by_network = settings.method == "ncv" or settings.training.network is not None
+    if sampling.visibility != "auto" or by_network:
+        return None, None
+    if not boxes_pay(len(scene.triangles), points.active, spp):
+        return None, None
+    slices = Slices(device, scene)
+    cost = slices.cost(points, float(settings.integrand.data(scene)[0]))
+    choice = SliceChoice(slices_for(spp, cost, sampling.sampler), cost)
+    return (slices if choice.number else None), choice
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,9 @@ def render(
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or by a rule whichever reaches an error sooner.
     spp : int
-        Samples a shading point on average: of the residual for "ncv", of the integrand for "mc".
+        Samples a shading point on average: of the residual for "ncv", of the integrand for "mc". Where
+        visibility "auto" takes slices of the hemisphere (ambient occlusion) there are fewer of them: as
+        many as take the time of so many rays.
     size : (int, int)
         Width and height, pixels.
     seed : int
@@ -115,6 +118,8 @@ def render(
     limit = settings.stopping.time_limit
     run = Run(clock=Clock(limit, started), stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch)
+    if problem.slices is not None and problem.slices.number:
+        settings = replace(settings, spp=problem.slices.number)
     outcome = estimate_integrals(problem, settings, run, keep, given)
     image = _image(scene, settings, run, problem, outcome)
     describe(image, scene, settings, problem, outcome, run.watch, time.perf_counter() - started)

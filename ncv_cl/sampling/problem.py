@@ -11,6 +11,7 @@ from ..network.encode import GridCube, varying_inputs
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..points.points import ShadingPoints
+from ..visibility.slices import SliceChoice
 from .samples import Batches
 
 
@@ -35,6 +36,9 @@ class Problem:
         Whether points lie side by side in an image.
     narrowest : float
         Width of the narrowest light's strip of the square; 1 without lights.
+    slices : SliceChoice, optional
+        How many slices of the hemisphere to take in place of the samples that were asked for, if that
+        was looked into.
     """
 
     device: Device
@@ -45,6 +49,12 @@ class Problem:
     demodulated: bool = False
     is_image: bool = True
     narrowest: float = 1.0
+    slices: SliceChoice | None = None
+
+    @property
+    def sliced(self) -> bool:
+        """Whether samples are slices of the hemisphere."""
+        return self.source.sliced
 
     @functools.cached_property
     def inputs(self) -> tuple[str, ...]:
