@@ -83,7 +83,8 @@ def measure(
         return clock() - began, image
 
     for method in METHODS:
-        _, image = render(method, plan.spps[size][-1], 0)
+        # Of so many that slices are taken, if they ever are.
+        _, image = render(method, max(spp for spp in plan.spps[size] if spp <= 256), 0)
     points = image.stats["points"]
     most = min(plan.most[integrand], plan.most.get(sampler, math.inf))
     spps = [spp for spp in plan.spps[size] if spp * points <= most]
@@ -189,6 +190,7 @@ def line(row: dict) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
+    parser.add_argument("--most", type=float, default=math.inf, metavar="N", help="samples of an image")
     parser.add_argument("--json", metavar="FILE", help="write the results here, over those of the cases")
     parser.add_argument("--table", metavar="FILE", help="what --json wrote, instead of measuring")
     parser.add_argument("--wall", action="store_true", help="elapsed time, not that of processors")
@@ -199,6 +201,7 @@ def main() -> None:
         show(json.loads(Path(options.table).read_text(encoding="utf-8"))["rows"])
         return
     device, plan = choose_device(options.device), QUICK if options.quick else FULL
+    plan = Plan(plan.spps, {kind: min(most, options.most) for kind, most in plan.most.items()})
     clock = time.perf_counter if options.wall else time.process_time
     cases = [tuple(case.split(":")) for case in options.case or ()] or CASES
     rows = []
