@@ -34,6 +34,7 @@ from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
+# Scene, integrand, and another visibility than "auto".
 CASES = (
     ("cornell_box", "direct"),
     ("interior", "direct"),
@@ -41,6 +42,8 @@ CASES = (
     ("knot", "direct"),
     ("occluders", "ao"),
     ("knot", "ao"),
+    ("occluders", "ao", "points"),
+    ("knot", "ao", "points"),
     ("cornell_box", "gi"),
     ("interior", "gi"),
 )
@@ -57,7 +60,7 @@ class Plan:
 
 SMALL = (4, 16, 64, 256, 1024)
 FULL = Plan(
-    {64: (*SMALL, 4096, 16384), 256: SMALL},
+    {64: (*SMALL, 4096, 16384), 256: SMALL, 768: (16, 64)},
     {"direct": 1 << 26, "ao": 1 << 26, "gi": 1 << 22, "independent": 1 << 22},
 )
 QUICK = Plan({64: SMALL[1:]}, {"direct": 1 << 22, "ao": 1 << 22, "gi": 1 << 18, "independent": 1 << 20})
@@ -66,20 +69,20 @@ SEEDS = (0, 1)
 
 def measure(
     device: Device,
-    case: tuple[str, str],
+    case: tuple[str, ...],
     size: int,
     sampler: str,
     plan: Plan,
     clock: Callable[[], float],
 ) -> list[dict]:
     """One row a number of samples: both methods' seconds, errors and ratios."""
-    scene, integrand = ncv.load_scene(SCENES / f"{case[0]}.toml"), case[1]
+    name, integrand, visibility = (*case, "auto")[:3]
+    scene = ncv.load_scene(SCENES / f"{name}.toml")
+    options = {"size": (size, size), "device": device, "sampler": sampler, "visibility": visibility}
 
     def render(method: str, spp: int, seed: int) -> tuple[float, ncv.Image]:
         began = clock()
-        image = ncv.render(
-            scene, integrand, method, spp, size=(size, size), seed=seed, device=device, sampler=sampler
-        )
+        image = ncv.render(scene, integrand, method, spp, seed=seed, **options)
         return clock() - began, image
 
     for method in METHODS:
@@ -89,28 +92,23 @@ def measure(
     most = min(plan.most[integrand], plan.most.get(sampler, math.inf))
     spps = [spp for spp in plan.spps[size] if spp * points <= most]
     runs = {(method, spp): [] for method in METHODS for spp in spps}
-    sliced = dict.fromkeys(runs, False)
     for seed in SEEDS:
         for method, spp in runs:
             seconds, image = render(method, spp, seed)
             runs[method, spp].append((seconds, image.pixels.astype(np.float64)))
-            sliced[method, spp] = image.stats.get("slices", {}).get("a_point", 0) > 0
     found = {
-        method: [
-            {"spp": spp, "stages": {}, "sliced": sliced[method, spp], **summary(runs[method, spp])}
-            for spp in spps
-        ]
+        method: [{"spp": spp, "stages": {}, **summary(runs[method, spp])} for spp in spps]
         for method in METHODS
     }
     return [
         {
-            "scene": case[0],
+            "scene": name,
             "integrand": integrand,
+            "visibility": visibility,
             "sampler": sampler,
             "size": size,
             "spp": spp,
             "samples": spp * points,
-            "sliced": found["mc"][i]["sliced"],
             **{f"{m} seconds": found[m][i]["seconds"] for m in METHODS},
             **{f"{m} mse": found[m][i]["mse"] for m in METHODS},
             **ratios(found, i),
@@ -157,7 +155,7 @@ def show(rows: list[dict]) -> None:
     """Print the table, and each kind's threshold."""
     for row in rows:
         print(line(row))
-    kinds = [kind_of(INTEGRANDS[row["integrand"]](), row["sampler"], row["sliced"]) for row in rows]
+    kinds = [kind_of_row(row) for row in rows]
     for kind in dict.fromkeys(kinds):
         own = [row for row, its in zip(rows, kinds, strict=True) if its == kind]
         threshold = threshold_of(own)
@@ -171,20 +169,28 @@ def show(rows: list[dict]) -> None:
 
 def write(file: Path, device: Device, rows: list[dict]) -> None:
     """Write rows to a file, in place of those of the same cases that it holds."""
-    cases = {(row["scene"], row["integrand"]) for row in rows}
+    names = ("scene", "integrand", "visibility")
+    cases = {tuple(row[name] for name in names) for row in rows}
     old = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.exists() else []
-    kept = [row for row in old if (row["scene"], row["integrand"]) not in cases]
+    kept = [row for row in old if tuple(row[name] for name in names) not in cases]
     results = {"device": device.identity, "rows": kept + rows}
     file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 
 
+def kind_of_row(row: dict) -> str:
+    """The number that a row tells; by visibility "auto" slices are there, taken or not."""
+    integrand = INTEGRANDS[row["integrand"]]()
+    return kind_of(integrand, row["sampler"], integrand.sliced and row["visibility"] == "auto")
+
+
 def line(row: dict) -> str:
     """A row of the table."""
-    name = f"{row['scene']} {row['integrand']} {row['sampler']} {row['size']}^2"
+    visibility = "" if row["visibility"] == "auto" else f" {row['visibility']}"
+    name = f"{row['scene']} {row['integrand']}{visibility} {row['sampler']} {row['size']}^2"
     cells = [
         f"{m} {row[f'{m} seconds']:6.2f} s {row[f'{m} mse']:.2e} ratio {row[m]:.2f}" for m in METHODS
     ]
-    return f"{name:36} {row['spp']:5} spp {row['samples']:8.2g} samples: {', '.join(cells)}"
+    return f"{name:38} {row['spp']:5} spp {row['samples']:8.2g} samples: {', '.join(cells)}"
 
 
 def main() -> None:
@@ -195,7 +201,9 @@ def main() -> None:
     parser.add_argument("--table", metavar="FILE", help="what --json wrote, instead of measuring")
     parser.add_argument("--wall", action="store_true", help="elapsed time, not that of processors")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
-    parser.add_argument("--case", action="append", metavar="SCENE:INTEGRAND", help="default: all")
+    parser.add_argument(
+        "--case", action="append", metavar="SCENE:INTEGRAND[:VISIBILITY]", help="default: all"
+    )
     options = parser.parse_args()
     if options.table:
         show(json.loads(Path(options.table).read_text(encoding="utf-8"))["rows"])

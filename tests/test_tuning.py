@@ -126,7 +126,7 @@ def test_the_rules_script_measures_and_prints_every_number(one_device, capsys):
     rows = []
     for case in (
         ("cornell_box", "direct"),
-        ("knot", "ao"),
+        ("knot", "ao", "points"),
         ("cornell_box", "ao"),
         ("cornell_box", "gi"),
     ):
