@@ -93,7 +93,7 @@ def auto(names: Sequence[str], size: int, rounds: int, sampler: str) -> None:
             radius = share * diagonal(ncv.load_scene(SCENES / f"{name}.toml"))
             case = Case(name, ncv.AmbientOcclusion(radius), size, 2048)
             asked = {"points": ASKED, "lines": TAKEN, "auto": ASKED}
-            found = {way: measured(case, way, asked[way], rounds, sampler) for way in asked}
+            found = measured(case, asked, rounds, sampler)
             curves = {way: Curve.of(found[way]) for way in ("points", "lines")}
             for row in against_the_better(found["auto"], curves):
                 ratios = ", ".join(f"{way} {ratio:.2f}" for way, ratio in row["ratios"].items())
@@ -105,28 +105,33 @@ def auto(names: Sequence[str], size: int, rounds: int, sampler: str) -> None:
 
 
 def measured(
-    case: Case, visibility: str, numbers: tuple[int, ...], rounds: int, sampler: str
-) -> list[dict]:
-    """A row for each number of samples, as `Curve` takes them."""
-    rows = []
-    for number in numbers:
-        case.render(visibility, number, 0, sampler=sampler)
-        seconds, errors = [], []
-        for seed in range(rounds):
+    case: Case, asked: dict[str, tuple[int, ...]], rounds: int, sampler: str
+) -> dict[str, list[dict]]:
+    """Rows of each way by its numbers of samples, as `Curve` takes them; all are rendered in turn."""
+    every = [(way, number) for way, numbers in asked.items() for number in numbers]
+    seconds, errors, slices = ({one: [] for one in every} for _ in range(3))
+    for seed in range(rounds + 1):
+        for one in every:
             started = time.process_time()
-            image = case.render(visibility, number, seed, sampler=sampler)
-            seconds.append(time.process_time() - started)
-            errors.append(case.error(image))
-        slices = image.stats.get("slices", {}).get("a_point", 0)
-        rows.append({
+            image = case.render(*one, seed, sampler=sampler)
+            # The first turn compiles kernels.
+            if seed > 0:
+                seconds[one].append(time.process_time() - started)
+                errors[one].append(case.error(image))
+                slices[one].append(image.stats.get("slices", {}).get("a_point", 0))
+    found: dict[str, list[dict]] = {way: [] for way in asked}
+    for way, number in every:
+        own = seconds[way, number]
+        taken = slices[way, number][0]
+        found[way].append({
             "spp": number,
-            "seconds": min(seconds),
-            "seconds_range": (min(seconds), max(seconds)),
-            "mse": float(np.mean(errors)),
+            "seconds": min(own),
+            "seconds_range": (min(own), max(own)),
+            "mse": float(np.mean(errors[way, number])),
             "stages": {},
-            "method": f"{slices} slices" if slices else "rays",
+            "method": f"{taken} slices" if taken else "rays",
         })  # fmt: skip
-    return rows
+    return found
 
 
 def costs(size: int, rounds: int) -> None:

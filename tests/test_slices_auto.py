@@ -20,7 +20,7 @@ from ncv_cl.opencl.device import open_device
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.rendering.render import render
 from ncv_cl.visibility import tuning
-from ncv_cl.visibility.slices import SliceCost, Slices, boxes_pay, slices_for
+from ncv_cl.visibility.slices import COUNTED_SLICES, SliceCost, Slices, boxes_pay, slices_for
 
 OPTIONS = {"method": "mc", "size": (24, 20)}
 
@@ -84,8 +84,10 @@ def test_refused_slices_are_those_of_a_draw(device):
     share = source.rays.off_lines / (spp * points.active)
     cost = Slices(device, scene).cost(points, math.inf)
     assert share > 0.05
-    # Each of 4096 is refused or not, and so is each of the draw's, at the same points.
-    assert abs(cost.refused - share) < 5 * math.sqrt(share * (1 / 4096 + 1 / (spp * points.active)))
+    # Each of them is refused or not, and so is each of the draw's, at the same points.
+    assert abs(cost.refused - share) < 5 * math.sqrt(
+        share * (1 / COUNTED_SLICES + 1 / (spp * points.active))
+    )
 
 
 @pytest.mark.parametrize("sampler", SAMPLERS)

@@ -18,7 +18,7 @@ from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
 # 2 * 3^0.5.
 PLANE_ROUNDING = 24 * 2.0**-24
 # Slices that tell what slices cost in a scene.
-COUNTED_SLICES = 4096
+COUNTED_SLICES = 1024
 
 
 @dataclass(frozen=True)
