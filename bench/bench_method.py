@@ -1,7 +1,8 @@
 """From how many samples on a control variate pays: the thresholds of method "auto".
 
 Plain Monte Carlo and the control variate render the shipped scenes at several sizes and numbers of
-samples, both with the same seeds, in turns, kernels compiled before. A picture's error is the mean
+samples, both with the same seeds, in turns, kernels compiled before, with visibility "auto": plain Monte
+Carlo along lines and by slices where these pay. A picture's error is the mean
 variance over renders of different seeds, so no reference is needed. Seconds are the processor time of
 the process (all threads), the least over the seeds: a busy machine changes it little. `--wall` takes
 elapsed time instead, for a quiet machine or a GPU.
@@ -33,6 +34,7 @@ from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
+# Scene, integrand, and another visibility than "auto".
 CASES = (
     ("cornell_box", "direct"),
     ("interior", "direct"),
@@ -40,6 +42,8 @@ CASES = (
     ("knot", "direct"),
     ("occluders", "ao"),
     ("knot", "ao"),
+    ("occluders", "ao", "points"),
+    ("knot", "ao", "points"),
     ("cornell_box", "gi"),
     ("interior", "gi"),
 )
@@ -56,7 +60,7 @@ class Plan:
 
 SMALL = (4, 16, 64, 256, 1024)
 FULL = Plan(
-    {64: (*SMALL, 4096, 16384), 256: SMALL},
+    {64: (*SMALL, 4096, 16384), 256: SMALL, 768: (16, 64)},
     {"direct": 1 << 26, "ao": 1 << 26, "gi": 1 << 22, "independent": 1 << 22},
 )
 QUICK = Plan({64: SMALL[1:]}, {"direct": 1 << 22, "ao": 1 << 22, "gi": 1 << 18, "independent": 1 << 20})
@@ -65,24 +69,25 @@ SEEDS = (0, 1)
 
 def measure(
     device: Device,
-    case: tuple[str, str],
+    case: tuple[str, ...],
     size: int,
     sampler: str,
     plan: Plan,
     clock: Callable[[], float],
 ) -> list[dict]:
     """One row a number of samples: both methods' seconds, errors and ratios."""
-    scene, integrand = ncv.load_scene(SCENES / f"{case[0]}.toml"), case[1]
+    name, integrand, visibility = (*case, "auto")[:3]
+    scene = ncv.load_scene(SCENES / f"{name}.toml")
+    options = {"size": (size, size), "device": device, "sampler": sampler, "visibility": visibility}
 
     def render(method: str, spp: int, seed: int) -> tuple[float, ncv.Image]:
         began = clock()
-        image = ncv.render(
-            scene, integrand, method, spp, size=(size, size), seed=seed, device=device, sampler=sampler
-        )
+        image = ncv.render(scene, integrand, method, spp, seed=seed, **options)
         return clock() - began, image
 
     for method in METHODS:
-        _, image = render(method, plan.spps[size][0], 0)
+        # Of so many that slices are taken, if they ever are.
+        _, image = render(method, max(spp for spp in plan.spps[size] if spp <= 256), 0)
     points = image.stats["points"]
     most = min(plan.most[integrand], plan.most.get(sampler, math.inf))
     spps = [spp for spp in plan.spps[size] if spp * points <= most]
@@ -97,8 +102,9 @@ def measure(
     }
     return [
         {
-            "scene": case[0],
+            "scene": name,
             "integrand": integrand,
+            "visibility": visibility,
             "sampler": sampler,
             "size": size,
             "spp": spp,
@@ -149,7 +155,7 @@ def show(rows: list[dict]) -> None:
     """Print the table, and each kind's threshold."""
     for row in rows:
         print(line(row))
-    kinds = [kind_of(INTEGRANDS[row["integrand"]](), row["sampler"]) for row in rows]
+    kinds = [kind_of_row(row) for row in rows]
     for kind in dict.fromkeys(kinds):
         own = [row for row, its in zip(rows, kinds, strict=True) if its == kind]
         threshold = threshold_of(own)
@@ -161,28 +167,49 @@ def show(rows: list[dict]) -> None:
             print(f"  {name:9}: ratio {min(got):.2f} at worst, {np.exp(np.mean(np.log(got))):.2f} mean")
 
 
+def write(file: Path, device: Device, rows: list[dict]) -> None:
+    """Write rows to a file, in place of those of the same cases that it holds."""
+    names = ("scene", "integrand", "visibility")
+    cases = {tuple(row[name] for name in names) for row in rows}
+    old = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.exists() else []
+    kept = [row for row in old if tuple(row[name] for name in names) not in cases]
+    results = {"device": device.identity, "rows": kept + rows}
+    file.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+def kind_of_row(row: dict) -> str:
+    """The number that a row tells; by visibility "auto" slices are there, taken or not."""
+    integrand = INTEGRANDS[row["integrand"]]()
+    return kind_of(integrand, row["sampler"], integrand.sliced and row["visibility"] == "auto")
+
+
 def line(row: dict) -> str:
     """A row of the table."""
-    name = f"{row['scene']} {row['integrand']} {row['sampler']} {row['size']}^2"
+    visibility = "" if row["visibility"] == "auto" else f" {row['visibility']}"
+    name = f"{row['scene']} {row['integrand']}{visibility} {row['sampler']} {row['size']}^2"
     cells = [
         f"{m} {row[f'{m} seconds']:6.2f} s {row[f'{m} mse']:.2e} ratio {row[m]:.2f}" for m in METHODS
     ]
-    return f"{name:36} {row['spp']:5} spp {row['samples']:8.2g} samples: {', '.join(cells)}"
+    return f"{name:38} {row['spp']:5} spp {row['samples']:8.2g} samples: {', '.join(cells)}"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
-    parser.add_argument("--json", metavar="FILE", help="write the results here")
+    parser.add_argument("--most", type=float, default=math.inf, metavar="N", help="samples of an image")
+    parser.add_argument("--json", metavar="FILE", help="write the results here, over those of the cases")
     parser.add_argument("--table", metavar="FILE", help="what --json wrote, instead of measuring")
     parser.add_argument("--wall", action="store_true", help="elapsed time, not that of processors")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
-    parser.add_argument("--case", action="append", metavar="SCENE:INTEGRAND", help="default: all")
+    parser.add_argument(
+        "--case", action="append", metavar="SCENE:INTEGRAND[:VISIBILITY]", help="default: all"
+    )
     options = parser.parse_args()
     if options.table:
         show(json.loads(Path(options.table).read_text(encoding="utf-8"))["rows"])
         return
     device, plan = choose_device(options.device), QUICK if options.quick else FULL
+    plan = Plan(plan.spps, {kind: min(most, options.most) for kind, most in plan.most.items()})
     clock = time.perf_counter if options.wall else time.process_time
     cases = [tuple(case.split(":")) for case in options.case or ()] or CASES
     rows = []
@@ -192,8 +219,7 @@ def main() -> None:
                 rows += measure(device, case, size, sampler, plan, clock)
                 print(f"{case[0]} {case[1]} {sampler} {size}", flush=True)
         if options.json:
-            results = {"device": device.identity, "rows": rows}
-            Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            write(Path(options.json), device, rows)
     print(device.identity)
     show(rows)
 

@@ -39,7 +39,7 @@ from ncv_cl.settings.schedule import Schedule
 
 FOLDERS = ("integrands", "visibility", "settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
-ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY")
+ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY", "SLICES_THAT_PAY")
 VALUES = {
     "HIDDEN": ((8, 8), (16, 8), (16, 16)),
     "WIDE_HIDDEN": ((8, 8), (16, 16), (24, 24)),
@@ -88,6 +88,8 @@ LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "dire
 PLAIN = {"method": "mc"}
 ON_LINES = {"method": "mc", "visibility": "lines"}
 OCCLUSION = (("occluders", "ao"), ("knot", "ao"))
+# Where visibility "auto" has a choice.
+SLICED = Trial((("cornell_box", "ao"), *OCCLUSION), spp=256, options=PLAIN)
 PILOT = {"method": "mc", "allocation": "pilot"}
 VARIANCE = Trial(size=64, spp=16, of_variance=True)
 # What is not seen in the trial that suits most.
@@ -127,6 +129,12 @@ TRIALS = {
     "OCCLUDERS_A_LINE": Trial(LIGHTS, options=PLAIN, spp=16),
     "MOST_BLOCKED": Trial(OCCLUSION, options=ON_LINES),
     "SAMPLED_TRIANGLES": Trial(OCCLUSION, options=ON_LINES),
+    "RAYS_A_SLICE": SLICED,
+    "RAYS_A_LEAF": SLICED,
+    "FEWEST_SLICES": replace(SLICED, spp=16),
+    "MOST_REFUSED": SLICED,
+    "MOST_RAYS_A_SLICE": replace(SLICED, options={"method": "mc", "sampler": "independent"}),
+    "SAMPLES_A_TRIANGLE": SLICED,
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
     "DIRECT_SAMPLES": APART,
     "DIRECT_ERROR": APART,

@@ -96,30 +96,8 @@ class _Race:
         return min(choices, key=lambda render: min(_seconds(render, seed) for seed in (1, 2)))
 
     def _renderer(self, way: Way, spp_a_pass: int) -> Callable[[int], object]:
-        import drjit
-
-        mitsuba = self._theirs.mitsuba
-        integrator = mitsuba.load_dict(way.integrator)
         whole = TARGET_SAMPLES // way.a_hit
-        sensor = self._theirs.sensor(self._size, way.sampler, spp_a_pass)
-        passes = whole // spp_a_pass
-
-        def render(seed: int) -> object:
-            total = 0
-            for number in range(passes):
-                image = mitsuba.render(
-                    self._theirs.scene,
-                    sensor=sensor,
-                    integrator=integrator,
-                    spp=spp_a_pass,
-                    seed=seed * passes + number,
-                )
-                total = total + image
-                drjit.eval(total)
-            drjit.sync_thread()
-            return total
-
-        return render
+        return in_passes(self._theirs, way.integrator, way.sampler, self._size, whole, spp_a_pass)
 
     # ---- the two comparisons -------------------------------------------------------------------------
 
@@ -199,6 +177,39 @@ class _Race:
             line += f" {method} " + ("not reached" if own is None else f"{own:.3f} s ({ratio:.1f} x)")
         print(line, flush=True)
         return row
+
+
+def in_passes(
+    theirs: MitsubaScene,
+    method: dict[str, object],
+    sampler: str,
+    size: tuple[int, int],
+    spp: int,
+    spp_a_pass: int,
+) -> Callable[[int], object]:
+    """A render by a wavefront of `spp` samples in equal passes, given a seed; returns their sum."""
+    import drjit
+
+    mitsuba = theirs.mitsuba
+    integrator, sensor = mitsuba.load_dict(method), theirs.sensor(size, sampler, spp_a_pass)
+    passes = spp // spp_a_pass
+
+    def render(seed: int) -> object:
+        total = 0
+        for number in range(passes):
+            image = mitsuba.render(
+                theirs.scene,
+                sensor=sensor,
+                integrator=integrator,
+                spp=spp_a_pass,
+                seed=seed * passes + number,
+            )
+            total = total + image
+            drjit.eval(total)
+        drjit.sync_thread()
+        return total
+
+    return render
 
 
 def seconds_to(seconds: list[float], errors: list[float], target: float) -> float | None:

@@ -15,7 +15,7 @@ class Case:
     ----------
     name : str
         Of a shipped scene, or of `scene`.
-    integrand : str
+    integrand : str or Integrand
     size : int
         Pixels a side.
     samples : int
@@ -29,7 +29,7 @@ class Case:
     def __init__(
         self,
         name: str,
-        integrand: str,
+        integrand: str | ncv.Integrand,
         size: int,
         samples: int,
         scene: ncv.Scene | None = None,

@@ -145,6 +145,7 @@ def test_tables_of_results_are_complete(folder, one_device, scenes):
         ncv.render(box, "direct", "auto", spp=1, **common),
         ncv.render(box, "gi", "ncv", spp=4, checkpoint="kept.npz", **common),
         ncv.render(knot, "ao", "mc", spp=4, visibility="lines", **common),
+        ncv.render(box, "ao", "mc", spp=64, **common),
     ]
     ours = {key for image in images for key in image.stats}
     stages = {key for image in images for key in image.stats["seconds"]}

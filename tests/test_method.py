@@ -16,34 +16,44 @@ from ncv_cl.integrands import INTEGRANDS
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
 
+# By integrand, sampler and visibility.
 KINDS = {
-    ("ao", "sobol"): "SAMPLES_THAT_PAY",
-    ("direct", "sobol"): "LIGHT_SAMPLES_THAT_PAY",
-    ("gi", "sobol"): "NOISY_SAMPLES_THAT_PAY",
-    ("ao", "independent"): "NOISY_SAMPLES_THAT_PAY",
-    ("direct", "independent"): "NOISY_SAMPLES_THAT_PAY",
-    ("gi", "independent"): "NOISY_SAMPLES_THAT_PAY",
+    ("ao", "sobol", "points"): "SAMPLES_THAT_PAY",
+    ("ao", "sobol", "lines"): "SLICES_THAT_PAY",
+    ("direct", "sobol", "auto"): "LIGHT_SAMPLES_THAT_PAY",
+    ("gi", "sobol", "auto"): "NOISY_SAMPLES_THAT_PAY",
+    ("ao", "independent", "points"): "NOISY_SAMPLES_THAT_PAY",
+    ("ao", "independent", "lines"): "NOISY_SAMPLES_THAT_PAY",
+    ("direct", "independent", "auto"): "NOISY_SAMPLES_THAT_PAY",
+    ("gi", "independent", "auto"): "NOISY_SAMPLES_THAT_PAY",
 }
 OPTIONS = {"spp": 64, "size": (8, 8)}
 
 
-def choose(integrand, sampler, spp, points):
+def is_sliced(integrand, visibility):
+    return integrand == "ao" and visibility == "lines"
+
+
+def choose(integrand, sampler, visibility, spp, points):
     settings = Settings(
         INTEGRANDS[integrand](), "auto", spp, (8, 8), 0, sampling=Sampling(sampler=sampler)
     )
-    return choose_method(SimpleNamespace(points=SimpleNamespace(active=points)), settings)
+    sliced = is_sliced(integrand, visibility)
+    problem = SimpleNamespace(points=SimpleNamespace(active=points), sliced=sliced)
+    return choose_method(problem, settings)
 
 
-@pytest.mark.parametrize(("integrand", "sampler"), list(KINDS))
+@pytest.mark.parametrize(("integrand", "sampler", "visibility"), list(KINDS))
 @pytest.mark.parametrize("enough", [True, False])
 def test_auto_is_the_method_that_the_rule_names(
-    one_device, scenes, monkeypatch, integrand, sampler, enough
+    one_device, scenes, monkeypatch, integrand, sampler, visibility, enough
 ):
-    own = KINDS[integrand, sampler]
+    own = KINDS[integrand, sampler, visibility]
     for name in set(KINDS.values()):
         # The others' numbers say the opposite.
         monkeypatch.setattr(tuning, name, 0 if (name == own) == enough else 1e30)
-    scene, options = scenes / "cornell_box.toml", {**OPTIONS, "sampler": sampler, "device": one_device}
+    scene = scenes / "cornell_box.toml"
+    options = {**OPTIONS, "sampler": sampler, "visibility": visibility, "device": one_device}
     found = render(scene, integrand, "auto", **options)
     named = "ncv" if enough else "mc"
     assert found.stats["method"] == found.stats["auto"]["method"] == named
@@ -51,18 +61,19 @@ def test_auto_is_the_method_that_the_rule_names(
     assert_same_bits(found, render(scene, integrand, named, **options))
 
 
-@pytest.mark.parametrize(("integrand", "sampler"), list(KINDS))
-def test_the_rule_counts_samples_of_lit_points(integrand, sampler):
-    assert kind_of(INTEGRANDS[integrand](), sampler) == KINDS[integrand, sampler]
-    enough = getattr(tuning, KINDS[integrand, sampler])
+@pytest.mark.parametrize(("integrand", "sampler", "visibility"), list(KINDS))
+def test_the_rule_counts_samples_of_lit_points(integrand, sampler, visibility):
+    kind = KINDS[integrand, sampler, visibility]
+    assert kind_of(INTEGRANDS[integrand](), sampler, is_sliced(integrand, visibility)) == kind
+    enough = getattr(tuning, kind)
     if enough == math.inf:
-        assert choose(integrand, sampler, 1 << 20, 1 << 20)[0] == "mc"
+        assert choose(integrand, sampler, visibility, 1 << 20, 1 << 20)[0] == "mc"
         return
     spp = 64
     points = int(enough) // spp
-    assert choose(integrand, sampler, spp, points)[0] == "ncv"
-    assert choose(integrand, sampler, spp, points - 1)[0] == "mc"
-    assert choose(integrand, sampler, points, spp)[0] == "ncv"
+    assert choose(integrand, sampler, visibility, spp, points)[0] == "ncv"
+    assert choose(integrand, sampler, visibility, spp, points - 1)[0] == "mc"
+    assert choose(integrand, sampler, visibility, points, spp)[0] == "ncv"
 
 
 def test_dark_points_and_the_background_do_not_count(one_device, scenes, monkeypatch):
@@ -79,7 +90,8 @@ def test_dark_points_and_the_background_do_not_count(one_device, scenes, monkeyp
 def test_no_clock_and_no_cache_has_a_say(one_device, scenes, monkeypatch, tmp_path, integrand):
     """A clock that runs a thousand times as fast, and no cache of ours, leave the bits as they are."""
     options = {"size": (16, 12), "spp": 1 << 13, "device": one_device}
-    monkeypatch.setattr(tuning, KINDS[integrand, "sobol"], 1e6)
+    for kind in set(KINDS.values()):
+        monkeypatch.setattr(tuning, kind, 1e5)
     first = render(scenes / "cornell_box.toml", integrand, **options)
     real = time.perf_counter
     monkeypatch.setattr(time, "perf_counter", lambda: 1000.0 * real())

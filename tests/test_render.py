@@ -33,8 +33,9 @@ def test_training_that_diverges_falls_back_to_monte_carlo(one_device, scenes, mo
 def test_a_render_that_is_stopped_keeps_the_passes_done(one_device, scenes, monkeypatch):
     monkeypatch.setattr("ncv_cl.estimation.passes.SAMPLES_A_PASS", 32)
     image = render(
-        scenes / "cornell_box.toml", "ao", "mc", device=one_device, stop=lambda: True, **OPTIONS
-    )
+        scenes / "cornell_box.toml", "ao", "mc", device=one_device, stop=lambda: True,
+        visibility="points", **OPTIONS,
+    )  # fmt: skip
     assert image.stats["samples_per_point_range"] == [32, 64]
     assert np.isfinite(image.pixels).all() and image.pixels.any()
 

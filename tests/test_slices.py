@@ -53,12 +53,12 @@ kernel void intervals(const uint point_count, const uint total_points, const uin
   room[item] = walk_slice(&slice, levels, boxes, triangles) ? 1 : 0;
   global float *restrict own = blocked + item * (2 * (MOST_BLOCKED + 2));
   own[0] = 0.0f;
-  own[1] = slice.low;
-  own[2] = slice.high;
+  own[1] = squared_height(slice.low);
+  own[2] = squared_height(slice.high);
   own[3] = 1.0f;
   for (uint k = 0; k < MOST_BLOCKED; ++k) {
-    own[4 + 2 * k] = k < slice.count ? slice.first[k] : -1.0f;
-    own[5 + 2 * k] = k < slice.count ? slice.last[k] : -1.0f;
+    own[4 + 2 * k] = k < slice.count ? squared_height(slice.first[k]) : -1.0f;
+    own[5 + 2 * k] = k < slice.count ? squared_height(slice.last[k]) : -1.0f;
   }
 }
 """

@@ -124,7 +124,12 @@ def test_a_ratio_is_of_the_sooner_method():
 def test_the_rules_script_measures_and_prints_every_number(one_device, capsys):
     plan = bench_method.Plan({8: (4, 16, 64)}, dict.fromkeys(("direct", "ao", "gi", "independent"), 1e9))
     rows = []
-    for case in (("cornell_box", "direct"), ("knot", "ao"), ("cornell_box", "gi")):
+    for case in (
+        ("cornell_box", "direct"),
+        ("knot", "ao", "points"),
+        ("cornell_box", "ao"),
+        ("cornell_box", "gi"),
+    ):
         rows += bench_method.measure(one_device, case, 8, "sobol", plan, time.process_time)
     for row in rows:
         assert row["samples"] % row["spp"] == 0 and row["mc mse"] > 0 and row["ncv mse"] > 0

@@ -2,10 +2,11 @@
  *
  * The half-plane through a point's origin o spanned by a tangent direction `across` and the normal `up` holds the
  * directions x across + h up. A triangle crosses the plane in a segment; where x > 0, h > 0 and within the radius, it
- * blocks an interval of squared heights w = h^2 / (x^2 + h^2). Over both mappings of ao.cl the integral of visibility
- * along the height is the length that the union of these intervals leaves free: of 2 u V over heights u, where
- * w = u^2, and of V over u, where w = 1 - u. (Billen and Dutre 2016, Line Sampling for Direct Illumination, do so on
- * lights.)
+ * blocks an interval of rises t = h / (x + h), from 0 at the horizon to 1 at the zenith. Over both mappings of ao.cl the
+ * integral of visibility along the height is what the union of these intervals leaves free of squared heights
+ * w = h^2 / (x^2 + h^2): of 2 u V over heights u, where w = u^2, and of V over u, where w = 1 - u. Rises stand for squared
+ * heights all the way, as they order directions alike and take one division. (Billen and Dutre 2016, Line Sampling for
+ * Direct Illumination, do so on lights.)
  *
  * The union is kept as what is blocked from the horizon upwards (`low`), what is blocked from the zenith downwards
  * (`high`), and MOST_BLOCKED disjoint intervals between at most. Where these do not suffice the slice is given up,
@@ -18,7 +19,8 @@
  * PLANE_ROUNDING, more than rounding makes of it, so no box hides a triangle that is crossed.
  *
  * Walk. Boxes of boxes of CHILDREN triangles, implicit: box k of a level holds numbers k * CHILDREN and on of the level
- * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius.
+ * below. A box is entered if the plane crosses it and some of it is above `low`, below `high` and within the radius; the
+ * nearest first, but for leaves.
  *
  * Memory layout: `boxes`: nodes of CHILDREN boxes, six rows of CHILDREN floats each: lower x, y, z, upper x, y, z;
  * node k of level l is number levels[l] + k. `triangles`: leaves of CHILDREN triangles, nine rows: x, y, z of corner 0,
@@ -39,20 +41,25 @@ typedef struct {
   SlicePlane beside, above, below; /* the last two are those through `low` and `high` */
   float radius, unit;
   float low, high;
+  uint leaves; /* that were met */
   uint count;
   float first[MOST_BLOCKED], last[MOST_BLOCKED];
 } Slice;
 
-#if VEC == 1
-#define AS_REAL(x) as_float(x)
-#define AS_WHOLE(x) as_int(x)
-#else
-#define AS_REAL(x) JOIN(as_float, VEC)(x)
-#define AS_WHOLE(x) JOIN(as_int, VEC)(x)
-#endif
+/* As take_lowest, the bit whose `distance` is least. */
+uint take_nearest(uint *found, const float *distance) {
+  uint others = *found;
+  uint nearest = take_lowest(&others);
+  while (others != 0) {
+    const uint other = take_lowest(&others);
+    nearest = distance[other] < distance[nearest] ? other : nearest;
+  }
+  *found ^= 1u << nearest;
+  return nearest;
+}
 
 /* Adds [first, last] to what is blocked; false if there is no room. */
-bool block_heights(Slice *slice, float first, float last) {
+bool block_rises(Slice *slice, float first, float last) {
   uint kept = 0;
   for (uint k = 0; k < slice->count; ++k) {
     const float own_first = slice->first[k];
@@ -80,9 +87,15 @@ bool block_heights(Slice *slice, float first, float last) {
 
 bool all_blocked(const Slice *slice) { return slice->low >= slice->high; }
 
+float squared_height(const float rise) {
+  const float across = 1.0f - rise;
+  return rise * rise / FMA(rise, rise, across * across);
+}
+
+/* The length of all squared heights that are free. */
 float free_heights(const Slice *slice) {
-  float left = slice->high - slice->low;
-  for (uint k = 0; k < slice->count; ++k) left -= slice->last[k] - slice->first[k];
+  float left = squared_height(slice->high) - squared_height(slice->low);
+  for (uint k = 0; k < slice->count; ++k) left -= squared_height(slice->last[k]) - squared_height(slice->first[k]);
   return fmax(left, 0.0f);
 }
 
@@ -94,10 +107,10 @@ SlicePlane plane_through(const float3 origin, const float3 normal) {
   return (SlicePlane){normal, dot(normal, origin)};
 }
 
-/* The planes between which all free directions lie; w is a squared sine. */
+/* The planes between which all free directions lie. */
 void narrow_planes(Slice *slice) {
-  const float3 above = sqrt(1.0f - slice->low) * slice->up - sqrt(slice->low) * slice->across;
-  const float3 below = sqrt(slice->high) * slice->across - sqrt(1.0f - slice->high) * slice->up;
+  const float3 above = (1.0f - slice->low) * slice->up - slice->low * slice->across;
+  const float3 below = slice->high * slice->across - (1.0f - slice->high) * slice->up;
   slice->above = plane_through(slice->origin, above);
   slice->below = plane_through(slice->origin, below);
 }
@@ -116,8 +129,17 @@ real axis_distance(const float origin, global const float *restrict boxes) {
   return max((real)0.0f, max(LOAD(boxes) - origin, origin - LOAD(boxes + 3 * CHILDREN)));
 }
 
-/* Which boxes of a node can block some of what is free: a bit each. */
-uint boxes_in_slice(const Slice *slice, global const float *restrict node) {
+/* How far VEC boxes are away, squared. */
+real squared_distance(const float3 origin, global const float *restrict boxes) {
+  const real x = axis_distance(origin.x, boxes);
+  const real y = axis_distance(origin.y, boxes + CHILDREN);
+  const real z = axis_distance(origin.z, boxes + 2 * CHILDREN);
+  return FMA(x, x, FMA(y, y, z * z));
+}
+
+/* Which boxes of a node can block some of what is free: a bit each. Above the leaves, how far they are away: what is near
+ * hides what is far, and there are few such nodes. */
+uint boxes_in_slice(const Slice *slice, global const float *restrict node, const uint level, float *distances) {
   const SlicePlane reverse = {-slice->beside.normal, -slice->beside.limit};
   uint found = 0;
   for (uint block = 0; block < CHILDREN; block += VEC) {
@@ -125,11 +147,10 @@ uint boxes_in_slice(const Slice *slice, global const float *restrict node) {
     const real across = min(most_beyond(&slice->beside, boxes), most_beyond(&reverse, boxes));
     const real within = min(most_beyond(&slice->above, boxes), most_beyond(&slice->below, boxes));
     whole enter = (min(across, within) >= -PLANE_ROUNDING);
-    if (slice->radius < INFINITY) {
-      const real x = axis_distance(slice->origin.x, boxes);
-      const real y = axis_distance(slice->origin.y, boxes + CHILDREN);
-      const real z = axis_distance(slice->origin.z, boxes + 2 * CHILDREN);
-      enter = enter && (x * x + y * y + z * z <= slice->radius * slice->radius);
+    if (level > 0 || slice->radius < INFINITY) {
+      const real distance = squared_distance(slice->origin, boxes);
+      enter = enter && (distance <= slice->radius * slice->radius);
+      STORE(distance, distances + block);
     }
     found |= lane_mask(enter) << block;
   }
@@ -158,44 +179,47 @@ SliceCorner crossing(const SliceCorner a, const SliceCorner b) {
   return (SliceCorner){of_a + of_b, a_x + b_x, a_h + b_h};
 }
 
-SliceCorner divided(const SliceCorner a) { return (SliceCorner){(real)1.0f, a.x / a.side, a.h / a.side}; }
+/* Which ends can be outside of the disc about the origin. */
+whole reaches_beyond(const float radius, const SliceCorner a) { return fabs(a.x) + fabs(a.h) > radius * a.side; }
 
-/* Shortens segments to what lies in the disc about the origin; returns for which that is something. */
+SliceCorner divided(const SliceCorner a) {
+  const real inverse = 1.0f / a.side;
+  return (SliceCorner){(real)1.0f, a.x * inverse, a.h * inverse};
+}
+
+/* Moves ends of segments that are outside of the disc about the origin onto it, and leaves others as they are; returns
+ * for which something is inside. */
 whole clip_to_disc(const float radius, SliceCorner *a, SliceCorner *b) {
-  const real x = b->x - a->x;
-  const real h = b->h - a->h;
+  const SliceCorner from = divided(*a);
+  const SliceCorner to = divided(*b);
+  const real x = to.x - from.x;
+  const real h = to.h - from.h;
   const real length2 = x * x + h * h;
-  const real off = a->x * b->h - b->x * a->h;
+  const real inverse = 1.0f / length2;
+  const real off = from.x * to.h - to.x * from.h;
   const real root2 = length2 * (radius * radius) - off * off;
   const real root = sqrt(max((real)0.0f, root2));
-  const real middle = -(a->x * x + a->h * h);
-  const real enters = (middle - root) / length2;
-  const real leaves = (middle + root) / length2;
-  const SliceCorner start = {(real)0.0f, FMA(enters, x, a->x), FMA(enters, h, a->h)};
-  const SliceCorner end = {(real)0.0f, FMA(leaves, x, a->x), FMA(leaves, h, a->h)};
+  const real middle = -(from.x * x + from.h * h);
+  const real enters = (middle - root) * inverse;
+  const real leaves = (middle + root) * inverse;
+  const SliceCorner start = {(real)1.0f, FMA(enters, x, from.x), FMA(enters, h, from.h)};
+  const SliceCorner end = {(real)1.0f, FMA(leaves, x, from.x), FMA(leaves, h, from.h)};
   *a = select_corner(*a, start, enters > 0.0f);
   *b = select_corner(*b, end, leaves < 1.0f);
   return (root2 > 0.0f) && (enters < 1.0f) && (leaves > 0.0f);
 }
 
-/* Of ends in the quadrant; scaled by a power of two, so that squares stay within float's range. */
-real squared_height(const SliceCorner a) {
-  const whole exponent = AS_WHOLE(max(fabs(a.x), fabs(a.h))) & 0x7f800000;
-  const real scale = AS_REAL(0x7f000000 - exponent);
-  const real x = a.x * scale;
-  const real h = a.h * scale;
-  const real h2 = h * h;
-  return h2 / FMA(x, x, h2);
-}
+/* Of ends in the quadrant. */
+real rise_of(const SliceCorner a) { return a.h / (a.x + a.h); }
 
-/* The heights that segments block; which block any. Seen from the origin, a segment is an arc of less than half a turn,
+/* The rises that segments block; which block any. Seen from the origin, a segment is an arc of less than half a turn,
  * counterclockwise from `first` to `last`: it begins below the quadrant or in it, and ends in it or behind. */
-whole heights_of(const SliceCorner a, const SliceCorner b, real *lower, real *upper) {
+whole rises_of(const SliceCorner a, const SliceCorner b, real *lower, real *upper) {
   const whole clockwise = (a.x * b.h < a.h * b.x);
   const SliceCorner first = select_corner(a, b, clockwise);
   const SliceCorner last = select_corner(b, a, clockwise);
-  const real from = SELECT(squared_height(first), (real)0.0f, first.h < 0.0f);
-  const real to = SELECT(squared_height(last), (real)1.0f, last.x < 0.0f);
+  const real from = SELECT(rise_of(first), (real)0.0f, first.h < 0.0f);
+  const real to = SELECT(rise_of(last), (real)1.0f, last.x < 0.0f);
   *lower = min(from, to);
   *upper = max(from, to);
   return (max(a.h, b.h) >= 0.0f) && (max(a.x, b.x) >= 0.0f) && (max(first.x, -first.h) > 0.0f);
@@ -229,13 +253,19 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     SliceCorner a = crossing(alone, select_corner(corner[1], corner[0], second || third));
     SliceCorner b = crossing(alone, select_corner(corner[2], corner[1], third));
     if (slice->radius < INFINITY) {
-      a = divided(a);
-      b = divided(b);
-      const whole is_near = clip_to_disc(slice->radius * slice->unit, &a, &b);
-      meets = meets && is_near;
+      const float radius = slice->radius * slice->unit;
+      const whole far = reaches_beyond(radius, a) || reaches_beyond(radius, b);
+      if (ANY(meets && far)) {
+        SliceCorner clipped_a = a;
+        SliceCorner clipped_b = b;
+        const whole is_near = clip_to_disc(radius, &clipped_a, &clipped_b);
+        meets = meets && (is_near || !far);
+        a = select_corner(a, clipped_a, far);
+        b = select_corner(b, clipped_b, far);
+      }
     }
     real lower, upper;
-    const whole blocks = heights_of(a, b, &lower, &upper);
+    const whole blocks = rises_of(a, b, &lower, &upper);
     meets = meets && blocks;
     lower = max(lower, (real)slice->low);
     upper = min(upper, (real)slice->high);
@@ -247,7 +277,7 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
     const float high = slice->high;
     while (found != 0) {
       const uint lane = take_lowest(&found);
-      if (!block_heights(slice, first[lane], last[lane])) return false;
+      if (!block_rises(slice, first[lane], last[lane])) return false;
     }
     if (slice->low != low || slice->high != high) narrow_planes(slice);
   }
@@ -258,18 +288,22 @@ bool meet_triangles(Slice *slice, global const float *restrict leaf) {
 bool walk_slice(Slice *slice, global const uint *restrict levels, global const float *restrict boxes,
                 global const float *restrict triangles) {
   uint found[SLICE_LEVELS], node[SLICE_LEVELS];
+  float distances[SLICE_LEVELS][CHILDREN];
   uint level = SLICE_LEVELS - 1;
   node[level] = 0;
-  found[level] = boxes_in_slice(slice, boxes + levels[level] * (ulong)(6 * CHILDREN));
+  found[level] = boxes_in_slice(slice, boxes + levels[level] * (ulong)(6 * CHILDREN), level, distances[level]);
   while (true) {
     while (found[level] == 0) {
       if (++level == SLICE_LEVELS) return true;
     }
-    const uint child = node[level] * CHILDREN + take_lowest(&found[level]);
     if (level > 0) {
+      const uint child = node[level] * CHILDREN + take_nearest(&found[level], distances[level]);
       node[--level] = child;
-      found[level] = boxes_in_slice(slice, boxes + (levels[level] + child) * (ulong)(6 * CHILDREN));
+      global const float *restrict own = boxes + (levels[level] + child) * (ulong)(6 * CHILDREN);
+      found[level] = boxes_in_slice(slice, own, level, distances[level]);
     } else {
+      const uint child = node[0] * CHILDREN + take_lowest(&found[0]);
+      ++slice->leaves;
       if (!meet_triangles(slice, triangles + child * (ulong)(9 * CHILDREN))) return false;
       if (all_blocked(slice)) return true;
     }
@@ -292,9 +326,9 @@ Slice slice_at(const ShadingPoint *p, const float radius, const float unit, cons
   slice.unit = unit;
   const float fall = fmax(0.0f, -dot(slice.across, p->geometric_normal));
   const float rise = dot(slice.up, p->geometric_normal);
-  slice.low = 1.0f / (1.0f + rise * rise / (fall * fall));
+  slice.low = 1.0f / (1.0f + rise / fall);
   slice.high = 1.0f;
-  slice.count = 0;
+  slice.leaves = slice.count = 0;
   narrow_planes(&slice);
   return slice;
 }

@@ -10,15 +10,25 @@ from ..settings.settings import Settings
 from . import tuning
 
 
-def kind_of(integrand: Integrand, sampler: str) -> str:
+def kind_of(integrand: Integrand, sampler: str, sliced: bool = False) -> str:
     """The name of the number in tuning.py from which on a control variate pays.
 
+    Parameters
+    ----------
+    sliced : bool
+        Whether samples are slices of the hemisphere.
+
+    Notes
+    -----
     The error of independent samples, and of paths, which add noise of their own, falls no faster than by
     one over the number of samples: a smaller variance soon pays. Sobol points do better, and best where
     rays end on the lights: testing these is cheap, and most points see all of a light or nothing of it.
+    The error of equidistant slices falls so fast that as many as a network trains on leave it nothing.
     """
     if integrand.nested or sampler == "independent":
         return "NOISY_SAMPLES_THAT_PAY"
+    if sliced:
+        return "SLICES_THAT_PAY"
     return "LIGHT_SAMPLES_THAT_PAY" if integrand.to_lights else "SAMPLES_THAT_PAY"
 
 
@@ -27,10 +37,11 @@ def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
 
     Training takes about the same time for every image, and what it takes off grows with the samples.
     """
-    kind = kind_of(settings.integrand, settings.sampling.sampler)
+    kind = kind_of(settings.integrand, settings.sampling.sampler, problem.sliced)
     enough = getattr(tuning, kind)
     if enough == math.inf:
-        return "mc", "direct light by Sobol points has too little noise for a control variate to pay"
+        what = "ambient occlusion by slices" if problem.sliced else "direct light by Sobol points"
+        return "mc", f"{what} has too little noise for a control variate to pay"
     samples = float(settings.spp) * problem.points.active
     words = "noisy samples" if kind.startswith("NOISY") else "samples"
     side = "at least" if samples >= enough else "less than"

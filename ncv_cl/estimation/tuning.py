@@ -17,19 +17,24 @@ import math
 #       ncv      : ratio 0.12 at worst, 0.47 mean
 #     NOISY_SAMPLES_THAT_PAY = 1 << 20
 #       this     : ratio 0.84 at worst, 1.00 mean
-#       mc       : ratio 0.56 at worst, 0.95 mean
-#       ncv      : ratio 0.18 at worst, 0.74 mean
-#     SAMPLES_THAT_PAY = 1 << 22
+#       mc       : ratio 0.54 at worst, 0.94 mean
+#       ncv      : ratio 0.18 at worst, 0.73 mean
+#     SAMPLES_THAT_PAY = 1 << 23
 #       this     : ratio 0.97 at worst, 1.00 mean
-#       mc       : ratio 0.81 at worst, 0.97 mean
-#       ncv      : ratio 0.32 at worst, 0.66 mean
+#       mc       : ratio 0.81 at worst, 0.98 mean
+#       ncv      : ratio 0.32 at worst, 0.69 mean
+#     SLICES_THAT_PAY = math.inf
+#       this     : ratio 1.00 at worst, 1.00 mean
+#       mc       : ratio 1.00 at worst, 1.00 mean
+#       ncv      : ratio 0.14 at worst, 0.41 mean
 #
 # A ratio is the sooner method's seconds to the same error over those of what is chosen: 1 is best. With
 # 65536 samples a point of direct light, plain Monte Carlo's is 0.63 in the Cornell box, and the control
 # variate's 0.39 in `interior`. The table is bench/results/method.json (--table prints it).
-SAMPLES_THAT_PAY = 1 << 22
+SAMPLES_THAT_PAY = 1 << 23
 NOISY_SAMPLES_THAT_PAY = 1 << 20
 LIGHT_SAMPLES_THAT_PAY = math.inf
+SLICES_THAT_PAY = math.inf
 
 # Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
 # spread ones, whose error falls faster than 1 / n, a little less: python bench/bench_tuning.py

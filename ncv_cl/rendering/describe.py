@@ -47,6 +47,8 @@ def describe(
         stats["direct"] = about_direct(problem.apart, drawn.direct, settings)
     if settings.method == "auto":
         stats["auto"] = outcome.plan.as_dict()
+    if problem.slices is not None:
+        stats["slices"] = problem.slices.as_dict()
     stats["ended_by"] = drawn.ended_by
     stats["skipped"] = {
         **skips(points, rays, settings.integrand.inputs, problem.inputs),

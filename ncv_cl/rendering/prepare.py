@@ -20,7 +20,7 @@ from ..scene.load import Scene
 from ..settings.settings import Settings
 from ..visibility.lines import lines_pay
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
-from ..visibility.slices import Slices
+from ..visibility.slices import SliceChoice, Slices, boxes_pay, slices_for
 from ..visibility.tuning import MOST_LIGHTS, MOST_ON_LINES
 
 # Points that are farther out of a scene's bounds than this part of its extent widen them.
@@ -78,10 +78,10 @@ def prepare(
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
-    slices = None
-    if integrand.promises("sliced") and settings.sampling.visibility == "lines":
+    slices, choice = None, None
+    if integrand.promises("sliced") and points.active:
         with watch("slices"):
-            slices = Slices(device, scene)
+            slices, choice = _slices(device, scene, settings, points)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
     apart, rest = None, integrand
     split, lit = _split(scene, settings, points, lines)
@@ -115,6 +115,7 @@ def prepare(
         narrowest=narrowest,
         glow=emitted_light(scene, integrand, points)[: points.active].T,
         apart=apart,
+        slices=choice,
     )
 
 
@@ -179,6 +180,27 @@ def _split(
     if settings.sampling.skip_dark:
         lit = lit[~parts[0].dark(scene, points)]
     return parts if len(lit) else None, lit
+
+
+def _slices(
+    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[Slices | None, SliceChoice | None]:
+    """Boxes to find slices in, if these are to be taken; and of "auto", how many, if it looked.
+
+    A network that is asked for gets rays: of slices it takes off no more than a few more of them.
+    """
+    sampling, spp = settings.sampling, settings.spp
+    if sampling.visibility == "lines":
+        return Slices(device, scene), None
+    by_network = settings.method == "ncv" or settings.training.network is not None
+    if sampling.visibility != "auto" or by_network:
+        return None, None
+    if not boxes_pay(len(scene.triangles), points.active, spp):
+        return None, None
+    slices = Slices(device, scene)
+    cost = slices.cost(points, float(settings.integrand.data(scene)[0]))
+    choice = SliceChoice(slices_for(spp, cost, sampling.sampler), cost)
+    return (slices if choice.number else None), choice
 
 
 def _without_dark(scene: Scene, settings: Settings, points: ShadingPoints) -> ShadingPoints:

@@ -59,7 +59,9 @@ def render(
     method : {"auto", "ncv", "mc"}
         Neural control variate, plain Monte Carlo, or by a rule whichever reaches an error sooner.
     spp : int
-        Samples a shading point on average: of the residual for "ncv", of the integrand for "mc".
+        Samples a shading point on average: of the residual for "ncv", of the integrand for "mc". Where
+        visibility "auto" takes slices of the hemisphere (ambient occlusion) there are fewer of them: as
+        many as take the time of so many rays.
     size : (int, int)
         Width and height, pixels.
     seed : int
@@ -116,6 +118,7 @@ def render(
     limit = settings.stopping.time_limit
     run = Run(clock=Clock(limit, started), stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch)
+    settings = problem.sampled(settings)
     outcome = estimate_integrals(problem, settings, run, keep, given)
     image = _image(scene, settings, run, problem, outcome)
     describe(image, scene, settings, problem, outcome, run.watch, time.perf_counter() - started)

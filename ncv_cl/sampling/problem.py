@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from ..network.encode import GridCube, varying_inputs
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..points.points import ShadingPoints
+from ..settings.settings import Settings
+from ..visibility.slices import SliceChoice
 from .samples import Batches, RayCount
 
 
@@ -55,6 +57,9 @@ class Problem:
         float32 (3, points.active), what surfaces add to the integrals by themselves.
     apart : Apart, optional
         A part of the integrals that `source` leaves out.
+    slices : SliceChoice, optional
+        How many slices of the hemisphere to take in place of the samples that were asked for, if that
+        was looked into.
     """
 
     device: Device
@@ -67,6 +72,12 @@ class Problem:
     narrowest: float = 1.0
     glow: np.ndarray | None = None
     apart: Apart | None = None
+    slices: SliceChoice | None = None
+
+    @property
+    def sliced(self) -> bool:
+        """Whether samples are slices of the hemisphere."""
+        return self.source.sliced
 
     @functools.cached_property
     def inputs(self) -> tuple[str, ...]:
@@ -84,6 +95,12 @@ class Problem:
     def means(self) -> HostArray:
         """Means of the integrands without shadows, float32 (channels, points.active)."""
         return self.source.unshadowed_means()
+
+    def sampled(self, settings: Settings) -> Settings:
+        """The settings with as many samples a point as there are to be slices, where these are taken."""
+        if self.slices is None or not self.slices.number:
+            return settings
+        return replace(settings, spp=self.slices.number)
 
     @property
     def rays(self) -> RayCount:

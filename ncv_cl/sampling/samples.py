@@ -105,7 +105,14 @@ class Batches:
     channels : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
+
+    Attributes
+    ----------
+    sliced : bool
+        Whether samples are slices of the hemisphere.
     """
+
+    sliced = False
 
     def __init__(
         self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
@@ -184,6 +191,7 @@ class SampleSource(Batches):
         slices: Slices | None = None,
     ) -> None:
         super().__init__(device, points, integrand.channels, samples_per_point)
+        self.sliced = slices is not None
         self._tracer = tracer
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))

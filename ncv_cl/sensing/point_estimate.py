@@ -156,6 +156,7 @@ def estimate_points(
     clock = Clock(settings.stopping.time_limit, started)
     run = Run(clock=clock, stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch, given)
+    settings = problem.sampled(settings)
     outcome = estimate_integrals(problem, settings, run, Keep())
     values, variance = _values(scene, settings, problem, outcome, given.cells)
     stats = _stats(settings, problem, outcome, run)
@@ -246,6 +247,8 @@ def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> 
     found["seconds"] = seconds_of(run.watch, rays, 0.0)
     if outcome.training:
         found["training"] = outcome.training
+    if problem.slices is not None:
+        found["slices"] = problem.slices.as_dict()
     if problem.apart is not None and drawn.direct is not None:
         found["direct"] = about_direct(problem.apart, drawn.direct, settings)
     if settings.method == "auto":

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
 from . import tuning
 from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
@@ -13,6 +17,75 @@ from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
 # What rounding may move a box from a plane by, of the largest coordinate: six roundings of sums of up to
 # 2 * 3^0.5.
 PLANE_ROUNDING = 24 * 2.0**-24
+# Slices that tell what slices cost in a scene.
+COUNTED_SLICES = 1024
+
+
+@dataclass(frozen=True)
+class SliceCost:
+    """What slices cost at the points of an image, by counts.
+
+    Attributes
+    ----------
+    leaves : float
+        Leaves of the scene's triangles that a slice meets, on average.
+    refused : float
+        Share of slices that are given up, and left to rays.
+    """
+
+    leaves: float
+    refused: float
+
+    @property
+    def rays(self) -> float:
+        """Rays that take the time of a slice."""
+        return tuning.RAYS_A_SLICE + tuning.RAYS_A_LEAF * self.leaves
+
+
+@dataclass(frozen=True)
+class SliceChoice:
+    """What visibility "auto" chose: `number` slices a point, 0 for rays, because of their `cost`."""
+
+    number: int
+    cost: SliceCost
+
+    def as_dict(self) -> dict[str, object]:
+        """For statistics."""
+        return {
+            "a_point": self.number,
+            "rays_each": self.cost.rays,
+            "refused": self.cost.refused,
+        }
+
+
+def boxes_pay(triangles: int, points: int, spp: int) -> bool:
+    """Whether there are enough samples for slices to be looked into: boxes take time to build."""
+    enough = tuning.SAMPLES_A_TRIANGLE * triangles
+    return spp >= tuning.FEWEST_SLICES and points * spp >= enough
+
+
+def slices_for(rays: int, cost: SliceCost, sampler: str) -> int:
+    """How many slices a point to take in place of so many rays; 0 where rays reach an error sooner.
+
+    Slices in the time of the rays at most. By Sobol points they are a power of two, so that they are
+    equidistant, and have the error a / n^3, that of rays is b / (rays)^1.5; a slice that is refused is
+    a ray at random, with the error c / n of all. In equal time slices have less error if there are
+    about as many of them as rays in the time of one, and if few are refused. Of independent samples
+    both errors fall like 1 / n, and all depends on what a slice costs.
+
+    Parameters
+    ----------
+    rays : int
+        Samples a point that were asked for.
+    sampler : {"sobol", "independent"}
+    """
+    affordable = int(rays / cost.rays)
+    if sampler == "independent":
+        return affordable if cost.rays <= tuning.MOST_RAYS_A_SLICE else 0
+    number = 1 << affordable.bit_length() >> 1
+    few = number < max(tuning.FEWEST_SLICES, cost.rays)
+    lost = cost.refused * cost.rays**1.5 * number**0.5
+    return 0 if few or lost > tuning.MOST_REFUSED else number
 
 
 class Slices:
@@ -35,6 +108,7 @@ class Slices:
         order = packed_order(lower, upper)
         levels = box_levels(lower[order], upper[order])
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
+        self._device = device
         self._levels = len(levels)
         self.arguments = {
             "unit": 1 / float(np.abs(corners).max()),
@@ -43,6 +117,33 @@ class Slices:
             # What fills up a leaf is without extent: no plane has its corners on two sides.
             "triangles": HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0))),
         }
+
+    def cost(self, points: ShadingPoints, radius: float) -> SliceCost:
+        """What slices cost at the active points; the same in every run.
+
+        Parameters
+        ----------
+        radius : float
+            Farther occluders do not count, scene units.
+        """
+        program = build(
+            self._device,
+            ("common", "surface", "slices", "slice_cost"),
+            {**surface_defines(), **self.defines()},
+        )
+        leaves, refused = (HostArray(self._device, COUNTED_SLICES, np.uint32) for _ in range(2))
+        program.kernel("count_leaves")(
+            COUNTED_SLICES,
+            slice_count=COUNTED_SLICES,
+            point_count=points.active,
+            total_points=points.total,
+            radius=radius,
+            surface=points.surface,
+            **self.arguments,
+            leaves=leaves,
+            refused=refused,
+        )
+        return SliceCost(float(leaves.read().mean()), float(refused.read().mean()))
 
     def defines(self) -> dict[str, str]:
         """The `-D` constants of slices.cl, beside those of surface.cl."""

@@ -41,3 +41,15 @@ OCCLUDERS_A_LINE = 16
 # renders python bench/bench_tuning.py MOST_BLOCKED SAMPLED_TRIANGLES.
 MOST_BLOCKED = 16
 SAMPLED_TRIANGLES = 64
+# Visibility "auto" in ambient occlusion. What a slice costs, in rays, by the leaves of triangles that it
+# meets: python bench/bench_slices.py cost. Slices that are worth it at least; how many may be refused,
+# over the powers of cost and number that tell; and of independent samples what a slice may cost. Samples
+# of an image, over triangles, from which on boxes are built, which takes the time of 16 rays a triangle:
+# python bench/bench_slices.py auto, and of other values python bench/bench_tuning.py RAYS_A_SLICE
+# RAYS_A_LEAF FEWEST_SLICES MOST_REFUSED MOST_RAYS_A_SLICE SAMPLES_A_TRIANGLE.
+RAYS_A_SLICE = 0.5
+RAYS_A_LEAF = 0.65
+FEWEST_SLICES = 8
+MOST_REFUSED = 2.0
+MOST_RAYS_A_SLICE = 3.0
+SAMPLES_A_TRIANGLE = 64
