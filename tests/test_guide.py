@@ -109,6 +109,18 @@ def test_no_guide_changes_the_expectation(device, depth, material, kind):
     assert_same(first, second, variance + others)
 
 
+@pytest.mark.parametrize("material", [grey((0.3, 0.6, 0.9)), GLOSSY])
+def test_branches_change_no_expectation_and_lower_variance(device, material, monkeypatch):
+    found = []
+    for seed, branches in enumerate((1, 3)):
+        monkeypatch.setattr(tuning, "BRANCHES", branches)
+        guide = nonsense(**NONSENSE["anything"])
+        found.append(sample_means(device, room(material), 5, 4000, guide, seed))
+    (first, variance), (second, others) = found
+    assert_same(first, second, variance + others)
+    assert others.mean() < 0.9 * variance.mean()
+
+
 def test_a_learned_guide_lowers_the_nested_noise_of_as_many_rays(device, scenes):
     scene, samples = load_scene(scenes / "cornell_box.toml"), 512
     points, source, _ = sampling(device, scene, GlobalIllumination(), (7, 7), samples, "independent")
