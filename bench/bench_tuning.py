@@ -58,7 +58,7 @@ VALUES = {
     "GUIDED_ROULETTE": ((1, 6.0), (2, 3.0), (2, 4.0), (2, 6.0), (2, 9.0)),
     "LEAST_SURVIVE": (0.02, 0.05, 0.1),
     "BRANCHES": (1, 2, 3),
-    "MOST_SURVIVE": (0.9, 0.95, 0.99),
+    "MOST_SURVIVE": (0.95, 0.99, 0.995),
     "GUIDE_UNIFORM_SHARE": (0.1, 0.2, 0.3, 0.5),
     "LOCAL_RADIUS": (1, 2, 3, 5),
 }

@@ -75,6 +75,19 @@ def test_roulette_leaves_a_furnace_as_bright_as_it_is(device, depth, sampler):
     assert (found.std(axis=0) > 0).all()
 
 
+@pytest.mark.parametrize(
+    "method, allocation", [("mc", "uniform"), ("ncv", "uniform"), ("ncv", "magnitude")]
+)
+def test_a_bright_furnace_has_no_pixel_far_off(one_device, method, allocation):
+    """Where nearly all light is reflected, weights of long paths must not grow without bound."""
+    scene = closed_box(glowing(0.98, 1.0))
+    options = {"spp": 32, "size": (24, 24), "allocation": allocation, "device": one_device}
+    for seed in range(3):
+        image = render(scene, "gi", method, seed=seed, **options)
+        assert 20 < image.pixels.min() and image.pixels.max() < 120
+        assert image.pixels.mean() == pytest.approx(50, rel=0.02)
+
+
 # ------------------------------------------------------------------------- an independent path tracer
 
 
