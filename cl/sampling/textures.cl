@@ -88,6 +88,40 @@ void coordinates_at(global const float *restrict triangles, const whole at, cons
 }
 #endif
 
+#if HAS_NORMAL_MAPS
+/* Bends the shading normals of surfaces that have a texture for that, where the viewer would still be above them: as
+ * textures/normals.py does it. */
+void bend_normal(global const float *restrict triangles, global const uint *restrict textures,
+                 global const half *restrict texels, const whole at, const real b1, const real b2, Scatterer *s) {
+  const whole texture = TO_WHOLE(gather(triangles, at + TRIANGLE_NORMAL_TEXTURE));
+  if (!ANY(texture >= 0)) return;
+  real u, v;
+  coordinates_at(triangles, at, b1, b2, &u, &v);
+  const triple colour = texture_at(textures, texels, texture, u, v);
+  const real scale = gather(triangles, at + TRIANGLE_NORMAL_SCALE);
+  const real x = scale * FMA((real)2.0f, colour.x, (real)-1.0f);
+  const real y = scale * FMA((real)2.0f, colour.y, (real)-1.0f) * gather(triangles, at + TRIANGLE_SIDE);
+  const real z = FMA((real)2.0f, colour.z, (real)-1.0f);
+  const real facing =
+      SELECT((real)1.0f, (real)-1.0f, dot_triple(gather_triple(triangles, at + TRIANGLE_NORMAL), s->outgoing) < 0.0f);
+  const triple own = {facing * s->normal.x, facing * s->normal.y, facing * s->normal.z};
+  triple t = gather_triple(triangles, at + TRIANGLE_TANGENT);
+  const real along = dot_triple(t, own);
+  t = (triple){t.x - along * own.x, t.y - along * own.y, t.z - along * own.z};
+  const real across2 = dot_triple(t, t);
+  const real unit = rsqrt(max(across2, (real)1e-30f));
+  t = (triple){t.x * unit, t.y * unit, t.z * unit};
+  const triple b = {own.y * t.z - own.z * t.y, own.z * t.x - own.x * t.z, own.x * t.y - own.y * t.x};
+  const triple bent = {x * t.x + y * b.x + z * own.x, x * t.y + y * b.y + z * own.y, x * t.z + y * b.z + z * own.z};
+  const real inverse = facing * rsqrt(max(dot_triple(bent, bent), (real)1e-30f));
+  const triple normal = {bent.x * inverse, bent.y * inverse, bent.z * inverse};
+  const whole usable = (texture >= 0) && (across2 > 1e-12f) && (dot_triple(normal, s->outgoing) > 0.0f);
+  s->normal.x = SELECT(s->normal.x, normal.x, usable);
+  s->normal.y = SELECT(s->normal.y, normal.y, usable);
+  s->normal.z = SELECT(s->normal.z, normal.z, usable);
+}
+#endif
+
 #if HAS_EMISSION
 /* What surfaces emit where rays hit them. */
 triple emission_at(global const float *restrict triangles, global const uint *restrict textures,
@@ -124,6 +158,9 @@ void vary_surface(global const float *restrict triangles, global const uint *res
   coordinates_at(triangles, at, b1, b2, &u, &v);
   const whole texture = TO_WHOLE(gather(triangles, at + TRIANGLE_TEXTURE));
   if (ANY(texture >= 0)) s->albedo = product(s->albedo, texture_at(textures, texels, texture, u, v));
+#endif
+#if HAS_NORMAL_MAPS
+  bend_normal(triangles, textures, texels, at, b1, b2, s);
 #endif
 #if HAS_SPECULAR && (HAS_TEXTURES || HAS_COLOURS)
   real metallic = gather(triangles, at + TRIANGLE_METALLIC);

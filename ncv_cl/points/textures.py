@@ -20,7 +20,7 @@ TEXTURE = Record(
     np.uint32,
 )
 # Those of `Maps` that kernels look up.
-KINDS = ("colour", "surface", "emission")
+KINDS = ("colour", "surface", "emission", "normal")
 # The index of what has no texture.
 NO_TEXTURE = -1
 

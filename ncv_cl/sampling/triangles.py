@@ -8,18 +8,19 @@ from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET, triangle_spreads
 from ..points.textures import texture_index
 from ..scene.load import Scene
+from ..scene.textures.normals import tangents
 from ..scene.textures.texture import Maps
 
 
 def triangle_record(
-    specular: bool, emission: bool, smooth: bool, textured: bool, coloured: bool
+    specular: bool, emission: bool, smooth: bool, textured: bool, coloured: bool, bent: bool
 ) -> Record:
     """What is kept of a triangle, with what only some scenes have.
 
     `distance` is that of its plane from the scene's origin, `offset` that of ray origins by its spread
     (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1.
-    `texture`, `surface_texture` and `emission_texture` are indices of textures.cl or -1, `metallic` is
-    as in `Maps`.
+    `texture` and other textures are indices of textures.cl or -1, `metallic` and `normal_scale` are as
+    in `Maps`, `tangent` and `side` as `normals.tangents` finds them.
     """
     fields = {"normal": 3, "distance": 1, "offset": 1, "light": 1, "albedo": 3}
     if specular:
@@ -30,6 +31,8 @@ def triangle_record(
         fields |= {"normal_0": 3, "normal_1": 3, "normal_2": 3}
     if textured:
         fields |= {"texture": 1, "uv_0": 2, "uv_1": 2, "uv_2": 2}
+    if bent:
+        fields |= {"normal_texture": 1, "normal_scale": 1, "tangent": 3, "side": 1}
     if textured and emission:
         fields |= {"emission_texture": 1}
     if coloured:
@@ -60,6 +63,8 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "texture": texture_index(scene, "colour"),
         "surface_texture": texture_index(scene, "surface"),
         "emission_texture": texture_index(scene, "emission"),
+        "normal_texture": texture_index(scene, "normal"),
+        "normal_scale": np.array([one.normal_scale for one in maps]),
     }
     has = {
         "specular": any(one.has_lobe for one in scene.materials),
@@ -67,6 +72,7 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "smooth": bool(scene.vertex_normals.any()),
         "textured": scene.vertex_uv is not None,
         "coloured": scene.vertex_colours is not None,
+        "bent": any(one.normal is not None for one in maps),
     }
     record = triangle_record(**has)
     values = {
@@ -79,12 +85,15 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         **_of_corners("uv", scene.vertex_uv, scene),
         **_of_corners("colour", scene.vertex_colours, scene),
     }
+    if has["bent"]:
+        values["tangent"], values["side"] = tangents(scene, np.arange(len(scene.triangles)))
     packed = record.pack(**{name: values[name] for name in record})
     defines = {
         "HAS_EMISSION": int(has["emission"]),
         "HAS_NORMALS": int(has["smooth"]),
         "HAS_TEXTURES": int(has["textured"]),
         "HAS_COLOURS": int(has["coloured"]),
+        "HAS_NORMAL_MAPS": int(has["bent"]),
     }
     return packed, {**defines, **record.defines()}
 

@@ -236,7 +236,7 @@ def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     materials = []
     for name, data in names.items():
         where = f"materials.{name}"
-        keys = ("albedo", "reflectance", "roughness", "emission", "opacity", "maps")
+        keys = ("albedo", "reflectance", "roughness", "emission", "opacity", "normal", "maps")
         maps, table = read_maps(Table(root.source, where, data, keys), images)
         albedo = table.colour("albedo", high=1.0)
         reflectance = table.colour("reflectance", default=0.0, high=1.0)

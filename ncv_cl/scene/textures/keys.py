@@ -12,7 +12,7 @@ from .texture import AS_IT_IS, WRAPS, Maps, Texture
 
 _KEYS = ("file", "factor", "scale", "offset", "wrap", "filter", "encoding")
 # What may be a texture, in the order of `Maps`.
-_TEXTURED = ("albedo", "roughness", "emission", "opacity")
+_TEXTURED = ("albedo", "roughness", "emission", "opacity", "normal")
 _FILTERS = ("linear", "nearest")
 
 
@@ -46,14 +46,14 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
             own = Table(table.source, f"{table.where}.{key}", value, _KEYS)
             if key == "opacity" and "factor" in own:
                 raise own.error("factor", "opacity has none: below a half there is a hole")
-            # Roughness and opacity are no colours: their integers are not encoded as those of colours.
+            # Others are no colours: their integers are not encoded as those of colours.
             default = "auto" if key in ("albedo", "emission") else "linear"
             found[key] = _read_texture(own, images, default, key == "opacity")
             placements[key] = _placement(own)
             factors[key] = own.raw("factor") if "factor" in own else 1.0
         if key in found and key != "emission" and not _in_range(found[key]):
             raise table.error(key, "the image holds values outside [0, 1]")
-        if key == "opacity" and key in table and key not in found:
+        if key in ("opacity", "normal") and key in table and key not in found:
             raise table.error(key, "expected a table { file = ... }")
     if not found:
         return None, table
@@ -62,7 +62,8 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
         if placement != placements[first]:
             raise table.error(key, f"its scale and offset must be those of {first}'s texture")
     textures = (found.get(key) for key in _TEXTURED)
-    maps = Maps(*textures, placement=placements[first])
+    scale = Table(table.source, table.where, factors, _TEXTURED).number("normal", 1.0)
+    maps = Maps(*textures, placement=placements[first], normal_scale=scale)
     return maps, table.replaced(factors)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..geometry import SMALLEST_ROUGHNESS
 from ..model import Scene
+from .normals import bent
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,33 @@ def surface_at(scene: Scene, triangle: NDArray, u: NDArray, v: NDArray) -> Surfa
     reflectance = reflectance * (1.0 - metallic)[:, None] + albedo * metallic[:, None]
     roughness = np.clip(roughness, SMALLEST_ROUGHNESS, 1.0)
     return Surface(albedo * (1.0 - metallic)[:, None], reflectance, roughness, emission_factor)
+
+
+def bent_normals(
+    scene: Scene, triangle: NDArray, u: NDArray, v: NDArray, normal: NDArray, outgoing: NDArray
+) -> NDArray[np.float64]:
+    """Shading normals (n, 3), bent where a material has a texture for that.
+
+    Parameters
+    ----------
+    triangle, u, v
+        As `surface_at` takes them.
+    normal, outgoing : floats (n, 3)
+        As `normals.bent` takes them.
+    """
+    found = np.array(normal, np.float64)
+    material = scene.triangle_material[triangle]
+    shares = np.stack([1.0 - u - v, u, v], axis=1).astype(np.float64)
+    for index, one in enumerate(scene.materials):
+        here = np.flatnonzero(material == index)
+        if not len(here) or one.maps is None or one.maps.normal is None:
+            continue
+        own = triangle[here]
+        uv = _interpolated(scene.vertex_uv, scene.triangles[own], shares[here])
+        texel = one.maps.normal.at(uv)[:, :3]
+        scale = one.maps.normal_scale
+        found[here] = bent(scene, own, texel, scale, found[here], outgoing[here].astype(np.float64))
+    return found
 
 
 def _interpolated(rows: NDArray, corners: NDArray, shares: NDArray) -> NDArray[np.float64]:

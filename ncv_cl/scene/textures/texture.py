@@ -136,8 +136,12 @@ class Maps:
         Multiplies the emission.
     opacity : Texture, optional
         Where its alpha is below `cutoff` the surface has a hole.
+    normal : Texture, optional
+        Twice its colour less 1 is the normal along u, along v, and off the surface; the first two are
+        multiplied by `normal_scale`.
     metallic, cutoff : float
         In [0, 1].
+    normal_scale : float
     placement : tuple of six floats
         (a, b, c, d, e, f): textures are looked up at (a u + b v + c, d u + e v + f).
     """
@@ -146,8 +150,10 @@ class Maps:
     surface: Texture | None = None
     emission: Texture | None = None
     opacity: Texture | None = None
+    normal: Texture | None = None
     metallic: float = 0.0
     cutoff: float = 0.5
+    normal_scale: float = 1.0
     placement: tuple[float, float, float, float, float, float] = AS_IT_IS
 
     def placed(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -166,5 +172,5 @@ class Maps:
     @property
     def textures(self) -> tuple[Texture, ...]:
         """Those that there are."""
-        found = (self.colour, self.surface, self.emission, self.opacity)
+        found = (self.colour, self.surface, self.emission, self.opacity, self.normal)
         return tuple(one for one in found if one is not None)
