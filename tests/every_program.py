@@ -75,6 +75,7 @@ material = "floor"
 
 # An image on a matte and on a glossy floor, beside colours of vertices.
 TEXTURED = MATTE.replace("albedo = [0.2, 0.5, 0.7]", 'albedo = { file = "image.exr" }')
+GLOW_AND_BUMPS = 'emission = 2\nnormal = { file = "image.exr" }\n'
 COLOURED = '[[meshes]]\nfile = "coloured.obj"\n'
 VERTICES = "v -1 0.5 0 1 0 0\nv 1 0.5 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n"
 
@@ -98,7 +99,7 @@ def render_everything(device: Device, folder: Path) -> None:
             GlobalIllumination(3),
         ),
         (GLOSSY + COLOURED, GlobalIllumination(3)),
-        (TEXTURED.replace("[[quads]]", "emission = 2\n[[quads]]"), GlobalIllumination(3)),
+        (TEXTURED.replace("[[quads]]", GLOW_AND_BUMPS + "[[quads]]"), GlobalIllumination(3)),
     ]
     write_image(folder / "image.exr", np.full((2, 3, 3), 0.5, np.float32), "half")
     (folder / "coloured.obj").write_text(VERTICES)

@@ -135,6 +135,20 @@ def test_many_sheets_in_one_place_are_passed(one_device):
     np.testing.assert_allclose(found.distance, 1.0, rtol=1e-5)
 
 
+def test_a_wall_close_behind_a_hole_is_hit(one_device):
+    """Rays go on as little behind a hole as rounding allows: a picture on a wall is no leak."""
+    nothing = Material(0.5, maps=Maps(opacity=Texture.of(np.zeros((1, 1, 4)))))
+    meshes = [TriangleMesh(corners_of([-2, y, 2], *FLOOR[1:]), TWO, "floor") for y in (1, 0)]
+    meshes.append(TriangleMesh(corners_of([-2, 1 + 4e-6, 2], *FLOOR[1:]), TWO, "sheet", uv=SQUARE))
+    scene = ncv.build_scene(CAMERA, {"floor": Material(0.7), "sheet": nothing}, meshes, [LAMP])
+    generator = np.random.default_rng(3)
+    origins = generator.uniform([-0.5, 1.2, -0.5], [0.5, 2.3, 0.5], (4000, 3)).astype(np.float32)
+    targets = generator.uniform([-0.9, 1, -0.9], [0.9, 1, 0.9], (4000, 3)).astype(np.float32)
+    found = Tracer(scene).closest(origins, targets - origins)
+    assert (found.triangle < 2).all()
+    np.testing.assert_allclose(found.distance, 1, rtol=2e-6)
+
+
 @pytest.mark.parametrize("integrand", ["ao", "direct", GlobalIllumination(4)])
 def test_holes_are_as_good_as_small_sheets(device, integrand):
     options = {"method": "mc", "sampler": "independent", "spp": 512, "size": (16, 12), "device": device}

@@ -100,7 +100,6 @@ def test_emission_has_a_strength(tmp_path: Path) -> None:
         (pbr(baseColorFactor=[1, 1, 1, 0.5]) | {"alphaMode": "BLEND"}, [OPAQUE]),
         (pbr(baseColorFactor=[1, 1, 1, 0.5]) | {"alphaMode": "MASK"}, [OPAQUE]),
         ({"alphaMode": "BLEND"}, []),
-        ({"normalTexture": {"index": 0}}, ["normal textures are not read: 1 (w)"]),
         ({"occlusionTexture": {"index": 0}}, ["occlusion textures are not read: 1 (w)"]),
         ({"extensions": {"KHR_materials_transmission": {}, "KHR_materials_clearcoat": {}}},
          [f"KHR_materials_{lobe} is not read: 1 (w)" for lobe in ("transmission", "clearcoat")]),
@@ -291,6 +290,21 @@ def test_an_emissive_texture_multiplies_the_factor(tmp_path: Path) -> None:
     found, said = read(tmp_path, material, gltf, **attributes)
     assert np.allclose(found.emission, BROWN * [20, 20, 10], rtol=2**-11)
     assert said == [OTHERS + "1 (emissiveTexture of w)", EMITS]
+
+
+def test_a_texture_of_normals_is_read(tmp_path: Path) -> None:
+    gltf, attributes = with_coordinates(image([[(255, 128, 128)]], tmp_path))
+    material = pbr(metallicFactor=0) | {"normalTexture": {"index": 0, "scale": 0.5}}
+    found, said = read(tmp_path, material, gltf, **attributes)
+    assert said == [] and found.maps.normal_scale == 0.5 and found.maps.colour is None
+    assert np.allclose(found.maps.normal.texels[0, 0, :3], [1, 128 / 255, 128 / 255], rtol=2**-11)
+    assert np.allclose(found.albedo, 1) and found.maps.metallic == 0
+    gltf, attributes = with_coordinates(image([[(255, 128, 128)]], tmp_path))
+    turned = {"index": 0, "extensions": {"KHR_texture_transform": {"rotation": 1}}}
+    material |= pbr(baseColorTexture=turned, metallicFactor=0)
+    found, said = read(tmp_path, material, gltf, **attributes)
+    kind = "textures of normals that are missing or not placed as the colour is, which are left out: "
+    assert found.maps.normal is None and said == [kind + "1 (normalTexture of w)"]
 
 
 def leaf(folder: Path) -> dict[str, str]:

@@ -77,7 +77,12 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("Ps 0.5", "sheen is not read: 1 (m)"),
         ("foo 1 2\nbar", "keys of materials that are not known: 2 (foo of m, bar of m)"),
         ("map_Bump -bm 0.5 b.png", UNREAD + "1 (map_bump b.png of m)"),
-        ("map_Tr a.png\nnorm n.png", UNREAD + "2 (map_tr a.png of m, norm n.png of m)"),
+        ("map_Tr a.png\nbump n.png", UNREAD + "2 (map_tr a.png of m, bump n.png of m)"),
+        (
+            "norm n.png",
+            "textures of normals that are missing or not placed as the colour is, which are left out: 1 "
+            "(norm n.png of m)",
+        ),
         (
             "map_d a.png",
             "textures of opacity that are missing or not placed as the colour is, the surface is "
@@ -190,6 +195,15 @@ def test_a_texture_of_opacity_makes_holes(tmp_path: Path) -> None:
         "materials that blend are opaque, with holes where their opacity is below a half: 1 "
         "(map_d holes.png of m)"
     ]
+
+
+@pytest.mark.parametrize("key", ["norm", "map_Kn"])
+def test_a_texture_of_normals_is_read(tmp_path: Path, key: str) -> None:
+    material, said = textured(tmp_path, f"Kd 0.4\n{key} -s 2 2 brown.png")
+    assert said == [] and material.maps.placement[0] == 2
+    # Normals are no colours: they are not decoded.
+    expected = np.array([128, 32, 32]) / 255
+    assert np.allclose(material.maps.normal.texels[0, 0, :3], expected, rtol=2**-11)
 
 
 def test_textures_that_lie_otherwise_are_named(tmp_path: Path) -> None:

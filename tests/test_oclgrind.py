@@ -98,8 +98,9 @@ def test_simulator_finds_no_fault_in_textures(vec, lanes, scenes, tmp_path):
         .read_text(encoding="utf-8")
         .replace("albedo = 0.5", f"albedo = {image}")
     )
-    text += f"[materials.gloss]\nalbedo = {image}\nreflectance = 0.1\n".replace(
-        '"repeat"', '["mirror", "clamp"]'
+    other = image.replace('"repeat"', '["mirror", "clamp"]')
+    text += (
+        f"[materials.gloss]\nalbedo = {other}\nreflectance = 0.1\nnormal = {other}\nemission = {other}\n"
     )
     text += '[[boxes]]\nmin = [-2, 0, -2]\nmax = [2, 1, 1]\nmaterial = "gloss"\n'
     text += '[[meshes]]\nfile = "coloured.obj"\n'

@@ -535,7 +535,7 @@ def test_the_shipped_images_are_what_the_script_draws(scenes, tmp_path, monkeypa
 
 def test_the_shipped_room_loads_and_renders(scenes, one_device):
     scene = ncv.load_scene(scenes / "textured_room.toml")
-    assert scene.warnings == () and len(scene.lights) == 2 and len(all_textures(scene)) == 8
+    assert scene.warnings == () and len(scene.lights) == 2 and len(all_textures(scene)) == 10
     assert scene.vertex_colours is not None
     image = ncv.render(scene, ncv.GlobalIllumination(3), "mc", spp=4, size=(32, 24), device=one_device)
     assert 0.05 < image.pixels.mean() < 1 and image.layers["depth"].min() > 0

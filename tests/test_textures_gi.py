@@ -187,7 +187,7 @@ METALS = {
     "maps": (
         {
             "reflectance": 0.04, "roughness": 0.8,
-            "maps": lambda i, colour: Maps(colour, Texture.of(SURFACES[i], nearest=True), None, 0.9),
+            "maps": lambda i, colour: Maps(colour, Texture.of(SURFACES[i], nearest=True), metallic=0.9),
         },
         {"reflectance": 0.04, "rough": 0.8, "metallic": 0.9, "surfaces": SURFACES},
     ),

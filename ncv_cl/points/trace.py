@@ -17,8 +17,9 @@ from ..scene.textures.holes import Holes
 # Most and fewest rays a task: few enough to balance threads, many enough to hide the cost of a call.
 CHUNK = 1 << 14
 SMALLEST_CHUNK = 1 << 11
-# A ray that passes a hole goes on this much behind it, as a part of the coordinates that enter.
-PAST_HOLE = 32 * 2.0**-24
+# A ray that passes a hole goes on this much behind it, as a part of the coordinates that enter: two of
+# their roundings, and twice as much whenever it hits the same triangle again.
+PAST_HOLE = 2.0**-23
 
 
 @dataclass(frozen=True)
@@ -128,23 +129,24 @@ class Tracer:
     ) -> None:
         """Go on where hits are in holes, to the next that are not, or to `farthest` along a ray."""
         waiting = np.flatnonzero(self._holes.at(hits.triangle, hits.u, hits.v))
+        step = np.full(len(origins), PAST_HOLE, np.float32)
         while waiting.size:
-            start, towards = origins[waiting], directions[waiting]
+            start, towards, passed = origins[waiting], directions[waiting], hits.triangle[waiting]
             distance = hits.distance[waiting]
-            reached = np.abs(start + distance[:, None] * towards).max(axis=1)
-            # Beyond the triangle, by what rounding may make of the hit.
-            largest = np.abs(towards).max(axis=1)
-            coordinates = reached + np.abs(start).max(axis=1) + distance * largest
-            distance = distance + np.float32(PAST_HOLE) * coordinates / largest
+            along = distance[:, None] * towards
+            coordinates = (np.abs(start) + np.abs(along)).max(axis=1) / np.abs(towards).max(axis=1)
+            distance = distance + step[waiting] * coordinates
             left = np.full(len(waiting), np.inf, np.float32)
             if farthest is not None:
                 left = np.maximum(farthest[waiting] - distance, np.float32(0.0))
             is_left = left > 0
             found = self._scene.run(start + distance[:, None] * towards, towards, left, output=True)
-            hits.triangle[waiting] = np.where(is_left, found["primID"], -1)
+            triangle = np.where(is_left, found["primID"], -1)
+            step[waiting] = np.where(triangle == passed, 2 * step[waiting], PAST_HOLE)
+            hits.triangle[waiting] = triangle
             hits.u[waiting], hits.v[waiting] = found["u"], found["v"]
             hits.distance[waiting] = distance + found["tfar"]
-            waiting = waiting[self._holes.at(hits.triangle[waiting], hits.u[waiting], hits.v[waiting])]
+            waiting = waiting[self._holes.at(triangle, found["u"], found["v"])]
 
     def _visible_part(
         self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray

@@ -44,7 +44,8 @@ def wood(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return colour, np.where(joint, 0.9, 0.25 + 0.35 * grain)
 
 
-def brick(generator: np.random.Generator) -> np.ndarray:
+def brick(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Bricks in mortar, and their normals."""
     y, x = np.mgrid[:SIZE, :SIZE] / SIZE
     row = (y * 8).astype(int)
     along = x * 4 + 0.5 * (row % 2)
@@ -52,7 +53,13 @@ def brick(generator: np.random.Generator) -> np.ndarray:
     tone = generator.random((8, 4))[row, along.astype(int) % 4]
     grain = noise(generator, 16, 16)
     colour = coloured(0.5 * tone + 0.5 * grain, (0.42, 0.17, 0.12), (0.80, 0.42, 0.30))
-    return np.where(mortar[..., None], coloured(grain, (0.6, 0.58, 0.54), (0.78, 0.76, 0.7)), colour)
+    colour = np.where(mortar[..., None], coloured(grain, (0.6, 0.58, 0.54), (0.78, 0.76, 0.7)), colour)
+    height = 1.6 * ~mortar + 0.8 * grain
+    # Slopes along u, which is x, and v, which goes upwards.
+    slope_x = np.roll(height, -1, axis=1) - np.roll(height, 1, axis=1)
+    slope_y = np.roll(height, 1, axis=0) - np.roll(height, -1, axis=0)
+    normal = np.stack([-0.5 * slope_x, -0.5 * slope_y, np.ones_like(height)], axis=-1)
+    return colour, 0.5 + 0.5 * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
 def paper(generator: np.random.Generator) -> np.ndarray:
@@ -89,12 +96,35 @@ def painting(generator: np.random.Generator) -> np.ndarray:
     return colour
 
 
+def leaf() -> np.ndarray:
+    """A stalk with leaves on both sides, and nothing around them."""
+    y, x = np.mgrid[:SIZE, :SIZE] / SIZE
+    across, up = x - 0.5, 1 - y
+    shown = np.abs(across) < 0.012
+    shade = np.full((SIZE, SIZE), 0.2)
+    for number in range(7):
+        side, start = (-1) ** number, 0.12 + 0.12 * number
+        along = across * side * 0.85 + (up - start) * 0.53
+        off = (up - start) * 0.85 - across * side * 0.53
+        length = 0.42 - 0.025 * number
+        inside = (along > 0) & (along < length)
+        width = 0.09 * np.sin(np.pi * np.clip(along / length, 0, 1)) ** 0.8
+        blade = inside & (np.abs(off) < width)
+        shade[blade] = (0.45 + 0.5 * along + 0.3 * (np.abs(off) < 0.006))[blade]
+        shown |= blade
+    return np.concatenate(
+        [coloured(shade, (0.06, 0.22, 0.05), (0.45, 0.75, 0.3)), shown[..., None]], axis=-1
+    )
+
+
 def write(path: Path, pixels: np.ndarray) -> None:
-    """An 8-bit PNG of values in [0, 1], of one channel or three."""
+    """An 8-bit PNG of values in [0, 1], of one channel, three or four."""
     rows = pixels if pixels.ndim == 3 else pixels[..., None]
     stored = np.round(255 * np.clip(rows, 0, 1)).astype(np.uint8)
     output = oiio.ImageOutput.create(str(path))
-    output.open(str(path), oiio.ImageSpec(SIZE, SIZE, stored.shape[2], "uint8"))
+    spec = oiio.ImageSpec(SIZE, SIZE, stored.shape[2], "uint8")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    output.open(str(path), spec)
     output.write_image(np.ascontiguousarray(stored))
     output.close()
 
@@ -102,8 +132,9 @@ def write(path: Path, pixels: np.ndarray) -> None:
 def main(folder: Path) -> None:
     generator = np.random.default_rng(1886)
     colour, rough = wood(generator)
-    images = {"wood": colour, "wood_roughness": rough, "brick": brick(generator)}
-    images |= {"paper": paper(generator), "painting": painting(generator)}
+    bricks, normals = brick(generator)
+    images = {"wood": colour, "wood_roughness": rough, "brick": bricks, "brick_normals": normals}
+    images |= {"leaf": leaf(), "paper": paper(generator), "painting": painting(generator)}
     for name, pixels in images.items():
         write(folder / f"{name}.png", pixels)
 

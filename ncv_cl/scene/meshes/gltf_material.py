@@ -25,6 +25,7 @@ from .textures import (
     MEAN_OF_OTHERS,
     MISSING,
     NO_METAL,
+    NO_NORMALS,
     NOT_PLACED_ALIKE,
     Image,
     colour_texture,
@@ -39,7 +40,6 @@ _READ = {
     # Other looks of the same file, which has one by default.
     "KHR_materials_variants",
 }
-_TEXTURES = {"normalTexture": "normal", "occlusionTexture": "occlusion"}
 # Keys of textures' tables, by the names of `Maps`.
 _COLOUR = ("baseColorTexture", "diffuseTexture")
 _SURFACE = "metallicRoughnessTexture"
@@ -69,7 +69,7 @@ def _infos(material: dict[str, Any]) -> list[dict[str, Any]]:
     other = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
     table = material.get("pbrMetallicRoughness", {}) if other is None else other
     found = [table[key] for key in (*_COLOUR, _SURFACE) if key in table]
-    return found + [material[key] for key in ("emissiveTexture",) if key in material]
+    return found + [material[key] for key in ("emissiveTexture", "normalTexture") if key in material]
 
 
 def _set_of(info: dict[str, Any]) -> int:
@@ -126,6 +126,11 @@ class _Reader:
         if texture is not None:
             maps = found.maps or Maps(placement=self._placed[1])
             found = replace(found, maps=replace(maps, emission=texture))
+        normal = self._normal()
+        if normal is not None:
+            maps = found.maps or Maps(placement=self._placed[1])
+            scale = float(self._material["normalTexture"].get("scale", 1.0))
+            found = replace(found, maps=replace(maps, normal=normal, normal_scale=scale))
         return replace(found, emission=emission)
 
     def _metallic_roughness(self, tint: Colour | None) -> FileMaterial:
@@ -139,7 +144,14 @@ class _Reader:
         dielectric = np.array(self._dielectric())
         if tint is None or colour is not None or surface is not None:
             opacity, cutoff = self._opacity(colour, table.get("baseColorFactor"))
-            maps = Maps(colour, surface, None, opacity, metallic, cutoff, self._placed[1])
+            maps = Maps(
+                colour,
+                surface,
+                opacity=opacity,
+                metallic=metallic,
+                cutoff=cutoff,
+                placement=self._placed[1],
+            )
             return FileMaterial(self._name, three(base), three(dielectric), roughness, maps=maps)
         return FileMaterial(
             self._name,
@@ -243,6 +255,18 @@ class _Reader:
         mean = mean_colour(self._images, image) or three(0.0)
         return three(np.multiply(factor, mean)), None
 
+    def _normal(self) -> Texture | None:
+        """The texture of normals; None, and noted, where it cannot be shown."""
+        if "normalTexture" not in self._material:
+            return None
+        info = self._material["normalTexture"]
+        image, wrap, nearest = self._image(info)
+        alike = (_set_of(info), _placement(info)) == self._placed
+        found = self._images.texture(image, "linear", wrap, nearest) if alike and image else None
+        if found is None:
+            self._notes.look(NO_NORMALS, f"normalTexture of {self._name}")
+        return found
+
     def _image(self, info: dict[str, Any]) -> tuple[Image, tuple[str, str], bool]:
         """An image, how it goes on beyond its sides, and whether its texels are rectangles."""
         texture = self._container.entry("textures", info.get("index"))
@@ -256,9 +280,8 @@ class _Reader:
 
     def _note_what_is_not_read(self) -> None:
         look, name = self._notes.look, self._name
-        for key, what in _TEXTURES.items():
-            if key in self._material:
-                look(f"{what} textures are not read", name)
+        if "occlusionTexture" in self._material:
+            look("occlusion textures are not read", name)
         table = self._material.get("pbrMetallicRoughness", {})
         opacity = (table.get("baseColorFactor", [1.0]) + [1.0] * 3)[3]
         mode = self._material.get("alphaMode", "OPAQUE")

@@ -17,6 +17,7 @@ Image = Path | bytes | None
 MISSING = "textures that are missing or cannot be read, in whose place {} stands"
 MEANS = "textures are not read, their mean colour stands for them"
 HALF_OPAQUE = "materials that blend are opaque, with holes where their opacity is below a half"
+NO_NORMALS = "textures of normals that are missing or not placed as the colour is, which are left out"
 NO_OPACITY = "textures of opacity that are missing or not placed as the colour is, the surface is opaque"
 MEAN_OF_OTHERS = "textures that are not placed as the colour is, their mean colour stands for them"
 NOT_PLACED_ALIKE = "textures of metal that are not placed as the colour is, the surface is no metal"
