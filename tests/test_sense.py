@@ -59,6 +59,15 @@ def lambert(lights, positions, normals) -> np.ndarray:
     return found
 
 
+def camera_points(device, scene, size):
+    """Positions, normals and directions of what the camera sees in every pixel, (rows, columns, 3)."""
+    found = find_points(device, scene, Tracer(scene), *size, 1, True)
+    order = np.argsort(found.cell)
+    rows = (found.rows(row).T[order].astype(float) for row in ("position", "normal", "outgoing"))
+    position, normal, outgoing = (one.reshape(size[1], size[0], 3) for one in rows)
+    return position + scene.origin, normal, outgoing
+
+
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 @pytest.mark.parametrize("name", ["direct", "gi", "ao"])
 def test_a_cameras_points_as_arrays_have_the_bits_of_its_image(scenes, one_device, name, method):
@@ -66,11 +75,7 @@ def test_a_cameras_points_as_arrays_have_the_bits_of_its_image(scenes, one_devic
     options = {"method": method, "spp": 16, "seed": 3, "device": one_device}
     if method == "ncv":
         options["train_spp"] = 8
-    found = find_points(one_device, scene, Tracer(scene), *size, 1, True)
-    order = np.argsort(found.cell)
-    rows = (found.rows(row).T[order].astype(float) for row in ("position", "normal", "outgoing"))
-    position, normal, outgoing = (one.reshape(size[1], size[0], 3) for one in rows)
-    position += scene.origin
+    position, normal, outgoing = camera_points(one_device, scene, size)
     integrand = ncv.AmbientOcclusion(radius=0.5) if name == "ao" else name
     image = ncv.render(scene, integrand, size=size, **options)
     values = ncv.radiance(scene, position, normal, outgoing, integrand=integrand, **options)
@@ -278,6 +283,16 @@ def test_radiance_has_what_lights_and_surfaces_emit(one_device):
     assert not lamp.variance.any()
     lit = ncv.radiance(scene, [[0, 0, 0]], UP, UP, spp=64, device=one_device).values
     assert np.allclose(lit - lambert([LAMP], [[0, 0, 0]], UP) * 0.5 / np.pi, [0.25, 0.5, 1], atol=1e-3)
+
+
+def test_a_network_of_an_image_serves_points(one_device, tmp_path, scenes):
+    scene, file = ncv.load_scene(scenes / "interior.toml"), tmp_path / "network.npz"
+    options = {"method": "ncv", "spp": 8, "device": one_device}
+    ncv.render(scene, "gi", size=(24, 16), train_spp=16, save_network=file, **options)
+    image = ncv.render(scene, "gi", size=(24, 16), network=file, **options)
+    found = ncv.radiance(scene, *camera_points(one_device, scene, (24, 16)), network=file, **options)
+    assert "train" not in found.stats["seconds"] and found.stats["method"] == "ncv"
+    assert np.array_equal(found.values.astype(np.float32), image.pixels)
 
 
 def test_far_away_rays_are_traced(one_device):

@@ -79,7 +79,7 @@ def prepare(
         with watch("shafts"):
             occluders, lines = _occluders(device, scene, settings, points)
     slices, choice = None, None
-    if integrand.promises("sliced") and points.active:
+    if integrand.promises("sliced") and points.active and is_near:
         with watch("slices"):
             slices, choice = _slices(device, scene, settings, points)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
@@ -193,7 +193,7 @@ def _slices(
     if sampling.visibility == "lines":
         return Slices(device, scene), None
     by_network = settings.method == "ncv" or settings.training.network is not None
-    if sampling.visibility != "auto" or by_network:
+    if sampling.visibility != "auto" or by_network or scene.has_holes:
         return None, None
     if not boxes_pay(len(scene.triangles), points.active, spp):
         return None, None

@@ -112,7 +112,7 @@ def render(
     # Fails for scenes that do not suit the integrand before anything is traced.
     settings.integrand.check(scene)
     reference = reference_of(files.reference, settings.size)
-    given = _given(settings.training.network)
+    given = given_network(settings.training.network)
     device = choose_device(device)
     keep = _keep(files, identity(scene, settings, device, given.network if given else None))
     limit = settings.stopping.time_limit
@@ -156,7 +156,7 @@ def reference_of(given: np.ndarray | str | Path | None, size: tuple[int, int]) -
     return checked_reference(given, size)
 
 
-def _given(network: Network | str | Path | None) -> Trained | None:
+def given_network(network: Network | str | Path | None) -> Trained | None:
     """The network that is to be used, with its density and guide if it comes from a file."""
     if network is None:
         return None

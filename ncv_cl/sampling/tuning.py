@@ -8,8 +8,8 @@ from __future__ import annotations
 # Russian roulette: from which bounce on, and at which multiple of its throughput a path goes on; where
 # the mean of what is ended is known, of its deviation from that (Guide.needs) times the throughput; the
 # fewest that go on then, and the most: python bench/bench_tuning.py ROULETTE GUIDED_ROULETTE
-# LEAST_SURVIVE MOST_SURVIVE. Where a surface's albedo squared is more than MOST_SURVIVE, what paths bring
-# between such surfaces has no finite variance.
+# LEAST_SURVIVE MOST_SURVIVE. Where a surface's albedo squared is more than MOST_SURVIVE, what paths
+# bring between such surfaces has no finite variance.
 ROULETTE = (2, 2.0)
 GUIDED_ROULETTE = (2, 6.0)
 LEAST_SURVIVE = 0.05

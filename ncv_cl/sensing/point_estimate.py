@@ -25,6 +25,7 @@ from ..points.arrays import (
 )
 from ..rendering.pipeline import Outcome, estimate_integrals
 from ..rendering.prepare import prepare
+from ..rendering.render import given_network
 from ..sampling.problem import Problem
 from ..scene.load import Scene, load_scene
 from ..settings.options import check_real, gathered
@@ -149,6 +150,7 @@ def estimate_points(
     share = len(given.positions) / (settings.columns * settings.rows)
     settings = _with_target(settings, wanted, share / weight)
     integrand.check(scene)
+    network = given_network(settings.training.network)
     device = choose_device(device)
     if not len(given.positions):
         empty = np.zeros((0, integrand.channels))
@@ -157,7 +159,7 @@ def estimate_points(
     run = Run(clock=clock, stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch, given)
     settings = problem.sampled(settings)
-    outcome = estimate_integrals(problem, settings, run, Keep())
+    outcome = estimate_integrals(problem, settings, run, Keep(), network)
     values, variance = _values(scene, settings, problem, outcome, given.cells)
     stats = _stats(settings, problem, outcome, run)
     stats["seconds"]["total"] = time.perf_counter() - started
