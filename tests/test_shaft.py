@@ -106,6 +106,20 @@ def test_lists_hold_all_that_blocks(device, monkeypatch):
     assert blocked > 10
 
 
+def test_occluders_are_counted_where_they_are_too_many(device):
+    found = [
+        sampling(device, soup(300), DirectLight(), (12, 10), 64, with_occluders=True, most=most)[
+            1
+        ].occluders
+        for most in (1023, 15)
+    ]
+    lists, short = found
+    assert lists.unknown == 0 < short.unknown
+    # Of so few points each is counted.
+    every = np.arange(lists.starts.shape[0])
+    assert lists.mean_count == short.mean_count == lists.counts(every).mean() > 15
+
+
 def test_no_ray_slips_through_a_common_edge(device):
     """A sheet of triangles whose edges and corners the rays of a grid of points run along."""
     grid = np.linspace(-1, 1, 5)
