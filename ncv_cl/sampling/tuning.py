@@ -18,9 +18,9 @@ MOST_SURVIVE = 0.99
 # theirs: python bench/bench_tuning.py BRANCHES.
 BRANCHES = 2
 
-# What guides paths: boxes along each axis of the scene, the part of every density that is uniform, and
-# the samples that what is known of a cell, and of all cells, counts for: python bench/bench_tuning.py
-# GUIDE_SIDE GUIDE_UNIFORM_SHARE GUIDE_PRIOR_SAMPLES.
+# What guides paths: boxes along each axis of the scene, a power of two, the part of every density that
+# is uniform, and the samples that what is known of coarser boxes counts for:
+# python bench/bench_tuning.py GUIDE_SIDE GUIDE_UNIFORM_SHARE GUIDE_PRIOR_SAMPLES.
 GUIDE_SIDE = 8
 GUIDE_UNIFORM_SHARE = 0.3
 GUIDE_PRIOR_SAMPLES = 16.0
