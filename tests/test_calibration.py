@@ -22,6 +22,8 @@ CASES = {
     "occluders-direct-ncv": ("occluders", "direct", {"method": "ncv"}),
     "occluders-direct-subdivision": ("occluders", "direct", {"method": "ncv", "density": "subdivision"}),
     "occluders-ao-ncv": ("occluders", "ao", {"method": "ncv"}),
+    "occluders-gi-ncv": ("occluders", "gi", {"method": "ncv"}),
+    "occluders-gi-mc": ("occluders", "gi", {"method": "mc"}),
     "occluders-ao-slides": ("occluders", "ao", {"method": "ncv", "preset": "slides", "train_spp": 8}),
     "occluders-ao-mc": ("occluders", "ao", {"method": "mc"}),
     "occluders-ao-independent": ("occluders", "ao", {"method": "mc", "sampler": "independent"}),

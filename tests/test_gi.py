@@ -337,9 +337,9 @@ SCENES = {
 
 @pytest.mark.parametrize("method", ["mc", "ncv"])
 @pytest.mark.parametrize("name", SCENES)
-def test_direct_light_apart_is_the_same_image(device, name, method):
+def test_direct_light_apart_is_the_same_image(one_device, name, method):
     scene, depth = SCENES[name](), 5
-    common = {"size": (6, 5), "device": device}
+    common = {"size": (6, 5), "device": one_device}
     whole = [
         render(scene, GlobalIllumination(depth), "mc", spp=512, seed=s, split_direct="off", **common)
         for s in range(4)

@@ -91,8 +91,9 @@ class ImageEstimate:
         self.done = 0
         self._warp = warp
         # Samples that follow a density lie where the residual is large, so their own variance predicts
-        # errors well, and halves are not needed.
-        self._looks_at_parts = self._second is not None and warp is None
+        # errors well, and halves are not needed. Paths' noise is elsewhere as well.
+        by_parts = warp is None or settings.integrand.nested
+        self._looks_at_parts = self._second is not None and by_parts
 
     def results(self) -> list[Estimate]:
         """Estimates so far: of f and, with a control variate, of f - g.
