@@ -209,6 +209,27 @@ def write_image(path: Path, pixels: np.ndarray, kind: str = "uint8") -> None:
     assert output.write_image(np.ascontiguousarray(pixels)) and output.close()
 
 
+def read_square(
+    folder: Path, material: dict | None, gltf: Gltf | None = None, **attributes: int
+) -> tuple[Material, list[str]]:
+    """The material `w` of a glTF file with a square, and what was said."""
+    gltf = gltf or Gltf()
+    primitive = gltf.square()
+    primitive["attributes"] |= attributes
+    if material is not None:
+        primitive["material"] = 0
+        gltf.tree["materials"] = [{"name": "w"} | material]
+    gltf.tree["meshes"] = [{"name": "m", "primitives": [primitive]}]
+    gltf.write(folder / "a.gltf")
+    (found,), said = own_materials(folder, "a.gltf")
+    return found, said
+
+
+def pbr(**table: object) -> dict:
+    """A material of glTF's metallic-roughness model."""
+    return {"pbrMetallicRoughness": table}
+
+
 def png_bytes(red: int, green: int, blue: int) -> bytes:
     """A PNG of one pixel."""
 

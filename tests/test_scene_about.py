@@ -53,6 +53,18 @@ def test_a_scene_is_described(scenes: Path) -> None:
     assert "but for" not in text
 
 
+def test_images_are_described(scenes: Path) -> None:
+    text = describe(scenes / "textured_room.toml")
+    assert (
+        "  leaf: albedo 1, colour by an image of 128 × 128, opacity by an image of 128 × 128, on 6"
+        in text
+    )
+    assert (
+        "  bricks: albedo 1, colour by an image of 128 × 128, normal by an image of 128 × 128, on 2"
+        in text
+    )
+
+
 def test_a_scene_far_from_the_origin_is_described_in_world_coordinates(tmp_path: Path) -> None:
     far = SCENE.replace("[0, 1, 5]", "[3e6, 1, 5]").replace("[0, 0, 0]", "[3e6, 0, 0]")
     quad = '[[quads]]\ncorner = [3e6, 0, 0]\nedge1 = [1, 0, 0]\nedge2 = [0, 0, 1]\nmaterial = "grey"\n'

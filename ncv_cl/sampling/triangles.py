@@ -6,7 +6,7 @@ import numpy as np
 
 from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET, triangle_spreads
-from ..points.textures import texture_index
+from ..points.textures import NO_TEXTURE, texture_index
 from ..scene.load import Scene
 from ..scene.textures.normals import tangents
 from ..scene.textures.texture import Maps
@@ -53,26 +53,14 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
     corner_normals = scene.vertex_normals[scene.triangles]
     offsets = RELATIVE_OFFSET * triangle_spreads(corners, normals)
     offsets[corner_normals.any(axis=(1, 2))] *= -1.0
-    of_material = {
-        name: np.array([getattr(one, name) for one in scene.materials])
-        for name in ("albedo", "reflectance", "roughness", "emission")
-    }
-    maps = [one.maps or Maps() for one in scene.materials]
-    of_material |= {
-        "metallic": np.array([one.metallic for one in maps]),
-        "texture": texture_index(scene, "colour"),
-        "surface_texture": texture_index(scene, "surface"),
-        "emission_texture": texture_index(scene, "emission"),
-        "normal_texture": texture_index(scene, "normal"),
-        "normal_scale": np.array([one.normal_scale for one in maps]),
-    }
+    of_material = _of_materials(scene)
     has = {
         "specular": any(one.has_lobe for one in scene.materials),
         "emission": bool(of_material["emission"].any()),
         "smooth": bool(scene.vertex_normals.any()),
         "textured": scene.vertex_uv is not None,
         "coloured": scene.vertex_colours is not None,
-        "bent": any(one.normal is not None for one in maps),
+        "bent": bool(np.any(of_material["normal_texture"] != NO_TEXTURE)),
     }
     record = triangle_record(**has)
     values = {
@@ -96,6 +84,22 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "HAS_NORMAL_MAPS": int(has["bent"]),
     }
     return packed, {**defines, **record.defines()}
+
+
+def _of_materials(scene: Scene) -> dict[str, np.ndarray]:
+    """What triangles have of their materials, (materials, ...), by the names of the record's fields."""
+    maps = [one.maps or Maps() for one in scene.materials]
+    return {
+        **{
+            name: np.array([getattr(one, name) for one in scene.materials])
+            for name in ("albedo", "reflectance", "roughness", "emission")
+        },
+        **{
+            name: np.array([getattr(one, name) for one in maps]) for name in ("metallic", "normal_scale")
+        },
+        "texture": texture_index(scene, "colour"),
+        **{f"{kind}_texture": texture_index(scene, kind) for kind in ("surface", "emission", "normal")},
+    }
 
 
 def _of_corners(name: str, rows: np.ndarray | None, scene: Scene) -> dict[str, np.ndarray]:

@@ -13,12 +13,17 @@ from . import meshes
 from .load import load_scene, scene_from
 from .model import Camera, Material, QuadLight, Scene
 from .table import SceneError
+from .textures.texture import Texture
 
 # So many materials and lights are listed.
 LISTED = 20
 # The suggested camera looks from in front, from the right and from above, at this angle.
 _VIEW = np.array([0.5, 0.45, 1.0])
 _FOV = 40.0
+# What of `Maps` is an image, and what that says.
+_IMAGES = {"colour": "colour", "surface": "roughness and metal"} | {
+    name: name for name in ("emission", "opacity", "normal")
+}
 # The suggested light: how high above the mesh, and its side, in diagonals of the bounds.
 _LIGHT_HEIGHT, _LIGHT_SIZE = 1.5, 1.0
 # White, facing it, is then about as bright as a picture shows.
@@ -162,7 +167,18 @@ def _material(material: Material) -> str:
         parts.append(f"reflectance {_row(material.reflectance)}, roughness {material.roughness:.3g}")
     if material.emission.any():
         parts.append(f"emits {_row(material.emission)}")
+    if material.maps is not None:
+        parts += [_image(what, getattr(material.maps, name)) for name, what in _IMAGES.items()]
+        parts = [part for part in parts if part]
     return f"{material.name or 'unnamed'}: {', '.join(parts)}"
+
+
+def _image(what: str, texture: Texture | None) -> str:
+    """What a material has of an image; empty where there is none."""
+    if texture is None:
+        return ""
+    height, width = texture.texels.shape[:2]
+    return f"{what} by an image of {width} × {height}"
 
 
 def _lights(scene: Scene) -> list[str]:

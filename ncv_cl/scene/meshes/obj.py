@@ -64,23 +64,31 @@ def read_obj(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
     if not len(groups):
         return geometries
     for g, picked in zip(groups, np.split(order, firsts[1:]), strict=True):
-        chosen = corners[picked]
         material = materials[names[g // 2]]
         needed = asked.coordinates or (material is not None and material.maps is not None)
-        if g % 2 == 0:
-            chosen[:, :, 2] = -1
-        if not needed or not (chosen[:, :, 1] >= 0).any():
-            chosen[:, :, 1] = -1
-        at, local = _vertices(chosen)
-        geometry = FileGeometry(positions[at[:, 0]], local, material=material)
-        if g % 2:
-            geometry = replace(geometry, normals=np.nan_to_num(_rows(normals, at[:, 2])))
-        if coordinates is not None and (at[:, 1] >= 0).any():
-            geometry = replace(geometry, uv=_rows(coordinates, at[:, 1]))
+        given = coordinates if needed else None, normals if g % 2 else None
+        at, geometry = _geometry(corners[picked], positions, *given)
+        geometry = replace(geometry, material=material)
         if colours is not None:
-            geometry = _coloured(geometry, colours[at[:, 0]], path.name, notes)
+            geometry = _coloured(geometry, colours[at], path.name, notes)
         geometries.append(geometry)
     return geometries
+
+
+def _geometry(
+    corners: Indices, positions: Vectors, coordinates: Vectors | None, normals: Vectors | None
+) -> tuple[Indices, FileGeometry]:
+    """The geometry of corners (n, 3, 3), indices of v, vt and vn, and the v of each of its vertices."""
+    corners = corners.copy()
+    for column, values in ((1, coordinates), (2, normals)):
+        if values is None:
+            corners[:, :, column] = -1
+    at, local = _vertices(corners)
+    uv = None
+    if coordinates is not None and (at[:, 1] >= 0).any():
+        uv = _rows(coordinates, at[:, 1])
+    own = None if normals is None else np.nan_to_num(_rows(normals, at[:, 2]))
+    return at[:, 0], FileGeometry(positions[at[:, 0]], local, own, uv=uv)
 
 
 def _positions(statements: Statements, notes: Notes) -> tuple[Vectors, Vectors | None]:
