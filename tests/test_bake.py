@@ -312,3 +312,27 @@ def test_vertices_in_the_dark_room_are_black(one_device):
     with pytest.warns(UserWarning, match=r"of \d+ places of the mesh lie on no surface"):
         image = ncv.bake(room, aside, 8, spp=2, device=one_device)
     assert image.stats["places_detached"] > 0
+
+
+def test_charts_have_no_seam(one_device):
+    """A floor in two charts, apart and turned on the map, has the values of the floor in one."""
+    lamp = ncv.QuadLight((1.5, 1, 0.5), (0.5, 0, 0), (0, 0, 0.25), 4.0)
+    scene = scene_of((FLOOR.vertices, HALVES), lights=[lamp])
+    options = {"integrand": "direct", "spp": 64, "method": "mc", "device": one_device}
+    whole = ncv.bake(scene, FLOOR, (64, 32), **options)
+    left = corners((0, 0, 0), (0, 0, 2), (2, 0, 0))
+    right = corners((2, 0, 0), (0, 0, 2), (2, 0, 0))
+    # On a map of 80 x 72 texels: the left half upright, the right one on its head with u along z.
+    uv = np.concatenate([
+        np.array([[4, 36], [4, 68], [36, 68], [36, 36]]) / [80, 72],
+        np.array([[4, 2], [36, 2], [36, 34], [4, 34]]) / [80, 72],
+    ])  # fmt: skip
+    cut = UVMesh(np.concatenate([left, right]), np.concatenate([HALVES, HALVES + 4]), uv)
+    image = ncv.bake(scene, cut, (80, 72), padding=2, **options)
+    parts = [image.pixels[4:36, 4:36], image.pixels[38:70, 4:36][:, ::-1].transpose(1, 0, 2)[:, ::-1]]
+    found = np.concatenate(parts, axis=1)
+    error = 5 * np.sqrt(whole.variance.max() + image.variance.max()) + 1e-5
+    assert np.abs(found - whole.pixels).max() < error < 0.02 * whole.pixels.max()
+    # Around the charts the map goes on.
+    assert (image.pixels[2:38, 2:38] > 0).all()
+    assert np.count_nonzero(image.layers["coverage"] == 1) == 2 * 32 * 32

@@ -268,6 +268,24 @@ def test_a_sensor_in_a_lamps_plane_gets_the_other_lamps_light(device):
     assert (np.abs(found.values - exact) <= 5 * found.standard_error + 1e-5).all() and exact.all()
 
 
+def test_a_sensor_on_a_tilted_lamp_sees_what_the_floor_beneath_does_not(device):
+    """Its strips are not those of the floor's cell, which leave out a lamp below the floor."""
+    tilted = light_at((0.5, 0.5, -0.2), (0, 0, 0.4), (0.16, -0.12, 0), 3.0, two_sided=True)
+    low = light_at((3, -0.6, -0.5), (0, 0, 1), (0, 0.4, 0), 9.0, two_sided=True)
+    scene = lamp_scene(tilted, low)
+    rng = np.random.default_rng(2)
+    at = (
+        np.array([0.5, 0.5, -0.2])
+        + rng.random((40, 1)) * [0, 0, 0.4]
+        + rng.random((40, 1)) * [0.16, -0.12, 0]
+    )
+    normals = np.broadcast_to(tilted.normal, at.shape)
+    found = ncv.irradiance(scene, at, normals, spp=64, device=device)
+    exact = lambert([low], at, normals)
+    assert found.stats["points_on_lights"] == 40 and exact.min() > 0.05
+    assert (np.abs(found.values - exact) <= 5 * found.standard_error + 1e-5).all()
+
+
 def _corners(mesh: np.ndarray):
     vertices = np.asarray(mesh, float).reshape(-1, 3)
     return vertices, np.arange(len(vertices)).reshape(-1, 3)

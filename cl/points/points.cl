@@ -10,6 +10,7 @@
  *
  * placed_points: one work-item a point that was given by position, normal and direction of view, three floats each,
  * and the triangle that it lies on, or -1: that one's normal and size are taken then, by the rules of shading_points.
+ * `detached` is copied.
  *
  * camera: a record of CAMERA in points.py: position, forward, right * tan(fov/2) * aspect, up * tan(fov/2). A
  * record of MATERIAL there for each material.
@@ -125,8 +126,9 @@ kernel void shading_points(global const float *restrict camera, const uint colum
 
 kernel void placed_points(const uint total_points, global const float *restrict positions,
                           global const float *restrict normals, global const float *restrict outgoings,
-                          global const int *restrict on_triangle, global const uint *restrict point_material,
-                          global const float *restrict vertices, global const uint *restrict triangles,
+                          global const int *restrict on_triangle, global const float *restrict detached,
+                          global const uint *restrict point_material, global const float *restrict vertices,
+                          global const uint *restrict triangles,
                           global const float *restrict materials, global float *restrict surface) {
   const uint point = (uint)get_global_id(0);
   if (point >= total_points) return;
@@ -145,6 +147,6 @@ kernel void placed_points(const uint total_points, global const float *restrict 
     if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
   }
   store_place(surface, total_points, point, load3(positions, point), normal, geometric_normal, outgoing, spread);
-  surface[ROW_DETACHED * (ulong)total_points + point] = triangle >= 0 ? 0.0f : 1.0f;
+  surface[ROW_DETACHED * (ulong)total_points + point] = detached[point];
   store_material(surface, total_points, point, materials + (ulong)point_material[point] * MATERIAL_FLOATS);
 }

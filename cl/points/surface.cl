@@ -16,7 +16,7 @@ typedef struct {
   float3 reflectance;      /* at normal incidence */
   float roughness;
   float lobe_share;        /* of the unit square, see lobe.cl; 0 until that is found */
-  float detached;          /* 1: on no surface of the scene, else 0 */
+  float detached;          /* 1: on no surface of the scene but a light, else 0 */
 } ShadingPoint;
 
 float3 load_row3(global const float *restrict surface, const uint total_points, const uint row,

@@ -11,6 +11,7 @@ from ..opencl.memory import HostArray
 from ..scene.load import Scene
 from .points import (
     MATERIAL,
+    RELATIVE_OFFSET,
     SURFACE,
     ShadingPoints,
     material_records,
@@ -208,6 +209,16 @@ def _unit_normals(corners: np.ndarray) -> np.ndarray:
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
+def _off_light(positions: np.ndarray, normals: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Points on lights' triangles moved off these: rounding must not take any behind its light."""
+    planes = _unit_normals(corners)
+    planes *= np.where((planes * normals).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    lift = RELATIVE_OFFSET * (
+        np.abs(positions).max(axis=1, initial=0.0) + triangle_spreads(corners, planes)
+    )
+    return (positions + lift[:, None] * planes).astype(np.float32)
+
+
 def place_points(
     device: Device, scene: Scene, tracer: Tracer, given: PointArrays, emitters_active: bool
 ) -> ShadingPoints:
@@ -228,11 +239,17 @@ def place_points(
     if not given.is_sensor and not is_on.all():
         raise OffSurfaceError(np.flatnonzero(~is_on))
     light = np.where(is_on, scene.triangle_light[on_triangle], -1).astype(np.int32)
+    on_light = np.flatnonzero(light >= 0)
+    if given.is_sensor and not emitters_active:
+        corners = scene.vertices[scene.triangles[on_triangle[on_light]]].astype(np.float64)
+        positions[on_light] = _off_light(positions[on_light], given.normals[on_light], corners)
     every = emitters_active or given.is_sensor
     order = np.arange(count) if every else np.argsort(light >= 0, kind="stable")
     active = count if every else int(np.count_nonzero(light < 0))
     white = len(scene.materials)
     material = np.where(given.is_sensor, white, scene.triangle_material[on_triangle]).astype(np.uint32)
+    # Cells of the scene know nothing of what is on no surface, or on a light.
+    detached = (~is_on | (light >= 0)).astype(np.float32)
     surface = HostArray(device, (SURFACE.size, count), np.float32)
     points_program(device).kernel("placed_points")(
         count,
@@ -241,6 +258,7 @@ def place_points(
         normals=HostArray.of(device, given.normals[order]),
         outgoings=HostArray.of(device, given.outgoing[order]),
         on_triangle=HostArray.of(device, on_triangle[order]),
+        detached=HostArray.of(device, detached[order]),
         point_material=HostArray.of(device, material[order]),
         vertices=HostArray.of(device, scene.vertices),
         triangles=HostArray.of(device, scene.triangles),

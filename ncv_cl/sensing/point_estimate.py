@@ -255,10 +255,11 @@ def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> 
         found["direct"] = about_direct(problem.apart, drawn.direct, settings)
     if settings.method == "auto":
         found["auto"] = outcome.plan.as_dict()
+    detached = (points.rows("detached")[0] > 0) & (points.light < 0)
     return found | {
         "ended_by": drawn.ended_by,
         "points_sampled": found["points"],
-        "points_detached": int(np.count_nonzero(points.rows("detached")[0])),
+        "points_detached": int(np.count_nonzero(detached)),
         "points_on_lights": int(np.count_nonzero(points.light >= 0)),
         "points_without_light": points.dark,
     }
