@@ -125,6 +125,9 @@ def render_everything(device: Device, folder: Path) -> None:
     for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
         scene.write_text(text, encoding="utf-8")
         render(scene, "direct", "ncv", density=density, visibility="lines", **options)
+    # So many samples that what slices cost is looked into.
+    image = render(scene, "ao", "mc", **options | {"spp": 1024, "train_spp": "auto"})
+    assert "slices" in image.stats
 
 
 def estimate_everything(device: Device) -> None:

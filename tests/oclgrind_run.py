@@ -14,6 +14,8 @@ from ncv_cl.opencl.device import list_cl_devices, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.rendering import prepare
 from ncv_cl.settings.presets import PRESETS
+from ncv_cl.visibility import slices
+from ncv_cl.visibility import tuning as visibility_tuning
 
 
 def avoid_false_reports() -> None:
@@ -45,6 +47,12 @@ def shrink_training() -> None:
     PRESETS["default"] = replace(preset, hidden=(8, 4), grid_levels=2, schedule=schedule)
 
 
+def take_slices() -> None:
+    """Of few samples already, and by few slices that tell what they cost."""
+    slices.COUNTED_SLICES = 32
+    visibility_tuning.FEWEST_SLICES, visibility_tuning.SAMPLES_A_TRIANGLE = 1, 0
+
+
 def main(
     scene: str,
     integrand: str,
@@ -61,6 +69,9 @@ def main(
         prepare.MOST_ON_LINES = int(listed)
     avoid_false_reports()
     shrink_training()
+    if visibility == "slices":
+        take_slices()
+        visibility = "auto"
     (simulator,) = list_cl_devices()
     # An explicit device: choosing one would run the micro-benchmark in the simulator.
     device = open_device(simulator, vector_width=int(vec), lanes=int(lanes))

@@ -135,6 +135,14 @@ def test_simulator_finds_no_fault_in_slices(name, density, vec, lanes, scenes, t
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_in_what_slices_cost(vec, lanes, scenes, tmp_path):
+    scene = scenes / "cornell_box.toml"
+    arguments = ("ao", "mc", "sobol", str(vec), str(lanes), "none", "slices")
+    faults = simulate(tmp_path / "log", PROGRAM, scene, *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("name", ["cornell_box", "interior"])
 @pytest.mark.parametrize("listed", [1023, 0], ids=["lists", "walks"])
 def test_simulator_finds_no_fault_along_lines(name, listed, vec, lanes, scenes, tmp_path):

@@ -30,7 +30,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="neural control variate, Monte Carlo, or by a rule what reaches an error sooner",
     )
-    add("--spp", type=int, default=256, metavar="N", help="samples a shading point")
+    add("--spp", type=int, default=256, metavar="N", help="samples a shading point; see --visibility")
     add("--seed", type=int, default=0, metavar="S", help="from 0 to 2**64 - 1")
     add("--device", metavar="D", help="index or part of a name, see `ncv-cl devices`")
     add("--json", metavar="FILE", help="write the statistics here")
