@@ -151,7 +151,7 @@ def test_a_pass_that_would_outlast_the_limit_is_not_begun(monkeypatch):
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     lengths = [1, 1, 4, 4]
     passes = SimpleNamespace(number=4, length=lambda number: lengths[number])
-    target = SimpleNamespace(reached=lambda found: False)
+    target = SimpleNamespace(reached=lambda found, direct: False)
     under_way = SimpleNamespace(passes=passes)
     stopping = Stopping(under_way, target, Run(clock=Clock(5.5, 0.0)))
     now[0] = 1.0
