@@ -48,7 +48,11 @@ TOO_SURE = [
     ("cornell-points-pilot", 16),
     ("occluders-direct-subdivision", 64),
 ]
-COARSE = {case for case in CASES if case.endswith(("direct-mc", "pilot", "direct-uniform", "points-mc"))}
+COARSE = {
+    case
+    for case in CASES
+    if case.endswith(("direct-mc", "pilot", "direct-uniform", "points-mc", "gi-ncv"))
+}
 
 pytestmark = pytest.mark.slow
 
