@@ -173,9 +173,10 @@ class MitsubaScene:
     def _varying(self, material: Material, coloured: bool) -> dict[str, object]:
         """Lambert whose albedo is that of a texture, or of colours of vertices."""
         texture = material.maps.colour if material.maps is not None else None
-        if material.has_lobe or (coloured and texture is not None):
+        others = material.textures[texture is not None :]
+        if material.has_lobe or others or (coloured and texture is not None):
             raise NotImplementedError(
-                "textures are compared on Lambert, and without colours of vertices"
+                "only textures of colour are compared, on Lambert without colours of vertices"
             )
         if texture is None:
             return _lambert({"type": "mesh_attribute", "name": "vertex_color"})

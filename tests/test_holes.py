@@ -221,6 +221,7 @@ def test_a_scene_file_may_give_an_opacity(tmp_path, one_device, channels):
 @pytest.mark.parametrize(
     "text, said",
     [('{ file = "leaf.png", factor = 0.5 }', "opacity.factor: opacity has none"),
+     ('{ file = "leaf.png", encoding = "srgb" }', "opacity.encoding: opacity has none"),
      ("0.5", r"opacity: expected a table \{ file")],
 )  # fmt: skip
 def test_an_opacity_that_is_no_image_is_refused(tmp_path, text, said):

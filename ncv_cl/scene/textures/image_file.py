@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from .texture import LARGEST_HALF, Texture, linear_from_srgb
 
-# Pixels of an image's side, and of all images of a scene: 2 GiB of texels.
+# Pixels of an image's side, and of all images of a scene: 1 GiB of texels.
 LARGEST_SIDE = 1 << 14
-MOST_TEXELS = 1 << 28
+MOST_TEXELS = 1 << 27
 _FLOATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
 ENCODINGS = ("auto", "srgb", "linear")
 
@@ -28,6 +28,7 @@ class ImageFiles:
     def __init__(self) -> None:
         self._texels: dict[object, NDArray[np.float16] | None] = {}
         self._count = 0
+        self._opacities: dict[int, NDArray[np.float16]] = {}
 
     def texels(self, image: Path | bytes, encoding: str = "auto") -> NDArray[np.float16] | None:
         """An image file or its content as texels of a `Texture`, or None if it cannot be read.
@@ -45,12 +46,8 @@ class ImageFiles:
         """
         key = (image if isinstance(image, bytes) else image.resolve(), encoding)
         if key not in self._texels:
-            found = self._texels[key] = _decode(image, encoding)
+            found = self._texels[key] = _decode(image, encoding, MOST_TEXELS - self._count)
             self._count += 0 if found is None else found.shape[0] * found.shape[1]
-            if self._count > MOST_TEXELS:
-                raise ImageTooLargeError(
-                    f"the images have more than {MOST_TEXELS:,} pixels in all: scale them down"
-                )
         return self._texels[key]
 
     def opacity(self, image: Path | bytes) -> NDArray[np.float16] | None:
@@ -58,7 +55,11 @@ class ImageFiles:
         texels = self.texels(image, "linear")
         if texels is None or (texels[:, :, 3] < 1).any():
             return texels
-        return np.ascontiguousarray(np.broadcast_to(texels[:, :, :1], texels.shape))
+        # Texels are kept here, so an array's id stays its own.
+        if id(texels) not in self._opacities:
+            red = np.broadcast_to(texels[:, :, :1], texels.shape)
+            self._opacities[id(texels)] = np.ascontiguousarray(red)
+        return self._opacities[id(texels)]
 
     def texture(
         self,
@@ -72,13 +73,14 @@ class ImageFiles:
         return None if texels is None else Texture(texels, wrap, nearest)
 
 
-def _decode(image: Path | bytes, encoding: str) -> NDArray[np.float16] | None:
+def _decode(image: Path | bytes, encoding: str, most: int) -> NDArray[np.float16] | None:
+    """An image's texels; it may have so many pixels, which is asked before any is read."""
     if isinstance(image, bytes):
         with tempfile.TemporaryDirectory() as folder:
             # The reader finds the format by the content.
             path = Path(folder) / "image"
             path.write_bytes(image)
-            return _decode(path, encoding)
+            return _decode(path, encoding, most)
     # Else colours come multiplied by alpha.
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -92,6 +94,10 @@ def _decode(image: Path | bytes, encoding: str) -> NDArray[np.float16] | None:
             raise ImageTooLargeError(
                 f"an image of {spec.width} × {spec.height} pixels is too large, {LARGEST_SIDE} a side "
                 "are read: scale it down"
+            )
+        if spec.width * spec.height > most:
+            raise ImageTooLargeError(
+                f"the images have more than {MOST_TEXELS:,} pixels in all: scale them down"
             )
         is_float = spec.format.basetype in _FLOATS
         kind = oiio.UINT8 if spec.format.basetype == oiio.UINT8 else oiio.FLOAT

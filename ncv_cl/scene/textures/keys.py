@@ -44,8 +44,9 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
             found[key], placements[key], factors[key] = value, AS_IT_IS, 1.0
         elif isinstance(value, dict):
             own = Table(table.source, f"{table.where}.{key}", value, _KEYS)
-            if key == "opacity" and "factor" in own:
-                raise own.error("factor", "opacity has none: below a half there is a hole")
+            for unused in ("factor", "encoding"):
+                if key == "opacity" and unused in own:
+                    raise own.error(unused, "opacity has none: below a half there is a hole")
             # Others are no colours: their integers are not encoded as those of colours.
             default = "auto" if key in ("albedo", "emission") else "linear"
             found[key] = _read_texture(own, images, default, key == "opacity")
