@@ -23,6 +23,7 @@ from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.table import SceneError
 from .scene.textures.texture import Texture
+from .scene.unwrap import unwrap
 from .scene.uv_mesh import BakeError, UVMesh
 from .sensing.bake import bake
 from .sensing.bake_vertices import bake_vertices
@@ -76,6 +77,7 @@ __all__ = [
     "radiance",
     "render",
     "subdivide",
+    "unwrap",
     "view_factors",
     "write_vertex_colours",
 ]

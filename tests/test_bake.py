@@ -336,3 +336,25 @@ def test_charts_have_no_seam(one_device):
     # Around the charts the map goes on.
     assert (image.pixels[2:38, 2:38] > 0).all()
     assert np.count_nonzero(image.layers["coverage"] == 1) == 2 * 32 * 32
+
+
+def test_a_mesh_without_uvs_is_unwrapped(one_device):
+    pytest.importorskip("xatlas")
+    box = trimesh.creation.box(bounds=[[1, 0, 0.5], [2, 1, 1.5]])
+    mesh = ncv.TriangleMesh(box.vertices + np.array([1e6, 0, 0]), box.faces, "grey", 2 * box.vertices)
+    cut = ncv.unwrap(mesh, size=64, padding=2)
+    assert cut.uv.min() >= 0 and cut.uv.max() <= 1 and len(cut.triangles) == 12
+    assert np.array_equal(np.sort(cut.vertices[cut.triangles].reshape(12, -1), axis=0),
+                          np.sort(mesh.vertices[box.faces].reshape(12, -1), axis=0))  # fmt: skip
+    assert cut.normals.shape == cut.vertices.shape
+    found = find_texels(cut, (64, 64), 1)
+    assert found.counts["places_covered_twice"] == 0 and found.counts["triangles_outside"] == 0
+    near = ncv.unwrap(ncv.TriangleMesh(box.vertices, box.faces, "grey"), size=32)
+    image = ncv.bake(scene_of((box.vertices, box.faces)), near, 32, spp=4, device=one_device)
+    assert image.stats["places_detached"] == 0
+    # Nothing is in the way of a convex box.
+    assert np.allclose(image.pixels[image.layers["coverage"] > 0].mean(), 1, atol=0.02)
+    with pytest.raises(BakeError, match="more than"):
+        ncv.unwrap(mesh, time_limit=1e-3)
+    with pytest.raises(BakeError, match="could not unwrap"):
+        ncv.unwrap(mesh, size=-5, padding="x")

@@ -112,6 +112,13 @@ def test_simulator_finds_no_fault_in_textures(vec, lanes, scenes, tmp_path):
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+def test_simulator_finds_no_fault_at_points(vec, lanes, scenes, tmp_path):
+    program = PROGRAM.with_name("oclgrind_points.py")
+    faults = simulate(tmp_path / "log", program, scenes / "interior.toml", str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 def test_simulator_finds_no_fault_in_a_lobe(vec, lanes, scenes, tmp_path):
     arguments = ("direct", "mc", "sobol", str(vec), str(lanes))
     faults = simulate(tmp_path / "log", PROGRAM, scenes / "veach_plates.toml", *arguments)

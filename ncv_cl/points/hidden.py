@@ -27,7 +27,7 @@ def inside(scene: Scene, tracer: Tracer, positions: np.ndarray, normals: np.ndar
     planes = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     backs = np.zeros(len(positions), np.int64)
     origins = _lifted(scene, positions, normals, 0.0)
-    tangent, other = _frames(normals)
+    tangent, other = frames(normals)
     for ray in range(RAYS):
         # A spiral of even cosine-weighted shares.
         height = np.sqrt((ray + 0.5) / RAYS)
@@ -82,7 +82,7 @@ def _lifted(
     return (positions + (lift + offset)[:, None] * normals).astype(np.float32)
 
 
-def _frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors beside each normal, float64 (n, 3)."""
     axis = np.eye(3)[np.abs(normals).argmin(axis=1)]
     tangent = np.cross(normals, axis)

@@ -13,8 +13,8 @@ from ..scene.uv_mesh import checked_mesh
 PAIRS_AT_ONCE = 1 << 20
 # A place counts as inside a triangle that it misses by this part of the triangle.
 EDGE = 1e-9
-# Places on a triangle's edge are moved by this part of the way to its middle.
-INWARD = 1e-3
+# Places on a triangle's edge are moved in by this part of its height.
+INWARD = 2.0**-12
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,9 @@ def find_texels(mesh: object, size: tuple[int, int], samples: int) -> Texels:
         "places_covered_twice": doubled,
     }
     _warn(counts, len(triangles))
-    weights = _barycentric(corners[triangle], place)
+    # Off the edge, beyond which there may be nothing, or another surface.
+    weights = np.maximum(_barycentric(corners[triangle], place), INWARD)
+    weights /= weights.sum(axis=1, keepdims=True)
     own_corners = triangles[triangle]
     positions = (weights[..., None] * vertices[own_corners]).sum(axis=1)
     clamped = np.arange(len(cell)) >= len(found)
@@ -166,9 +168,7 @@ def _clamped(
         nearest[texel[order]], owner[texel[order]] = distance[order], triangle[order]
         where[texel[order]] = point[order]
     texel = np.flatnonzero(owner >= 0)
-    # Off the edge, where other surfaces may begin.
-    inward = corners[owner[texel]].mean(axis=1) - where[texel]
-    return texel, owner[texel], where[texel] + INWARD * inward
+    return texel, owner[texel], where[texel]
 
 
 def _meeting(corners: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -49,7 +49,7 @@ def read_uv_mesh(path: str | Path) -> UVMesh:
         raise BakeError(f"{path}: cannot read the mesh: {error}") from error
     uv = getattr(found.visual, "uv", None)
     if uv is None or not len(found.faces):
-        raise BakeError(f"{path}: has no UVs: unwrap the mesh, as Blender and xatlas do")
+        raise BakeError(f"{path}: has no UVs: unwrap the mesh, as Blender and ncv.unwrap do")
     return UVMesh(np.array(found.vertices), np.array(found.faces), np.array(uv))
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..opencl.device import Device
+from ..points.hidden import frames
 from ..points.patches import Patch, patch_points
 from ..points.points import RELATIVE_OFFSET
 from ..points.sampler import HostStream, Stream, host_generator, square_samples
@@ -141,11 +142,7 @@ def _by_rays(
 
 def _cosine_directions(normal: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Directions about normals (n, 3) of density cos / pi, float64 (n, 3)."""
-    # Any vector that is not along the normal begins a frame.
-    axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
-    tangent = np.cross(normal, axis)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    other = np.cross(normal, tangent)
+    tangent, other = frames(normal)
     radius, angle = np.sqrt(u.astype(np.float64)), 2 * np.pi * v.astype(np.float64)
     across = np.cos(angle)[:, None] * tangent + np.sin(angle)[:, None] * other
     return radius[:, None] * across + np.sqrt(1 - radius**2)[:, None] * normal
