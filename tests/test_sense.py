@@ -374,3 +374,21 @@ def test_what_has_no_effect_or_no_meaning_is_refused(one_device):
         ncv.irradiance(scene, at, UP, target_error=-1, device=one_device)
     with pytest.raises(ValueError, match="not both"):
         ncv.irradiance(scene, at, UP, target_error=1, target_mse=1, device=one_device)
+
+
+def test_radiance_of_a_textured_room_is_that_of_its_picture(scenes, one_device):
+    """Colours, gloss, emission and bent normals are those of the place on the surface."""
+    scene = ncv.load_scene(scenes / "textured_room.toml")
+    options = {"method": "mc", "spp": 64, "seed": 3, "device": one_device, "visibility": "embree"}
+    points = find_points(one_device, scene, Tracer(scene), 24, 16)
+    on_surface = points.light < 0
+    position, normal, outgoing = (
+        points.rows(name).T[on_surface].astype(np.float64) for name in ("position", "normal", "outgoing")
+    )
+    found = ncv.radiance(scene, position + scene.origin, normal, outgoing, integrand="gi", **options)
+    image = ncv.render(scene, "gi", size=(24, 16), **options)
+    pixels = image.pixels.reshape(-1, 3)[points.cell[on_surface]]
+    variance = image.variance.reshape(-1, 3)[points.cell[on_surface]] + found.variance
+    deviations = (found.values - pixels) / np.sqrt(np.maximum(variance, 1e-12))
+    assert abs(deviations.mean()) < 4 / np.sqrt(len(deviations))
+    assert np.mean(np.abs(deviations) < 4) > 0.97

@@ -9,6 +9,7 @@ import numpy as np
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..scene.load import Scene
+from ..scene.textures.surface import surface_at, varies
 from .points import (
     MATERIAL,
     RELATIVE_OFFSET,
@@ -17,6 +18,7 @@ from .points import (
     material_records,
     points_program,
     triangle_spreads,
+    vary_colours,
 )
 from .trace import Tracer
 
@@ -176,11 +178,12 @@ def _interleaved(numbers: np.ndarray, axes: int) -> np.ndarray:
 
 def surfaces_at(
     scene: Scene, tracer: Tracer, positions: np.ndarray, normals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangles that points lie on, int32 (points,), -1 for none, and the points moved onto these.
 
-    A short ray along the normal, from above the point to below it, finds the triangle. The point is
-    moved only where it is off by more than rounding.
+    Last come barycentric coordinates of corners 1 and 2, float32 (2, points). A short ray along the
+    normal, from above the point to below it, finds the triangle. The point is moved only where it is off
+    by more than rounding.
     """
     reach = NEAR_OF_POINT * np.abs(positions).max(axis=1, initial=0.0)
     reach = (reach + NEAR_OF_SCENE * float(np.abs(scene.bounds).max())).astype(np.float32)
@@ -197,7 +200,7 @@ def surfaces_at(
     off = np.abs(above) > SNAPPED_FROM * rounding
     moved = positions.copy()
     moved[on[off]] -= above[off, None] * normals[on[off]]
-    return on_triangle, moved
+    return on_triangle, moved, np.stack([hits.u, hits.v])
 
 
 def _unit_normals(corners: np.ndarray) -> np.ndarray:
@@ -234,7 +237,7 @@ def place_points(
     OffSurfaceError
     """
     count = len(given.positions)
-    on_triangle, positions = surfaces_at(scene, tracer, given.positions, given.normals)
+    on_triangle, positions, barycentric = surfaces_at(scene, tracer, given.positions, given.normals)
     is_on = on_triangle >= 0
     if not given.is_sensor and not is_on.all():
         raise OffSurfaceError(np.flatnonzero(~is_on))
@@ -266,7 +269,19 @@ def place_points(
         surface=surface,
     )
     device.queue.finish()
-    kept = None if given.is_sensor else material[order].astype(np.int32)
+    kept = emission_factor = None
+    if not given.is_sensor:
+        kept = material[order].astype(np.int32)
+        if varies(scene):
+            hits = (on_triangle[order], *barycentric[:, order])
+            emission_factor = vary_colours(surface, surface_at(scene, *hits))
     return ShadingPoints(
-        surface, given.cells[order], light[order], active, 0, material=kept, origin=scene.origin
+        surface,
+        given.cells[order],
+        light[order],
+        active,
+        background=0,
+        material=kept,
+        origin=scene.origin,
+        emission_factor=emission_factor,
     )

@@ -11,7 +11,7 @@ from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..scene.load import Camera, Scene
-from ..scene.textures.surface import bent_normals, surface_at, varies
+from ..scene.textures.surface import Surface, bent_normals, surface_at, varies
 from .trace import Hits, Tracer
 
 # A point's properties, each number of them a row of `surface`.
@@ -230,12 +230,18 @@ def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> np.ndarray:
 
     Returns `ShadingPoints.emission_factor`.
     """
-    found = surface_at(scene, *hits)
+    factor = vary_colours(surface, surface_at(scene, *hits))
+    with surface.mapped(update=True) as rows:
+        normal, outgoing = (rows[SURFACE[name]].T for name in ("normal", "outgoing"))
+        rows[SURFACE["normal"]] = bent_normals(scene, *hits, normal, outgoing).T
+    return factor
+
+
+def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
+    """Put in what points reflect; returns `ShadingPoints.emission_factor`."""
     with surface.mapped(update=True) as rows:
         for name in ("albedo", "reflectance", "roughness"):
             rows[SURFACE[name]] = getattr(found, name).T
-        normal, outgoing = (rows[SURFACE[name]].T for name in ("normal", "outgoing"))
-        rows[SURFACE["normal"]] = bent_normals(scene, *hits, normal, outgoing).T
     return found.emission_factor.astype(np.float32)
 
 

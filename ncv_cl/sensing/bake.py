@@ -162,7 +162,9 @@ def _kept(
 
 def check_on_scene(scene: Scene, tracer: Tracer, positions: np.ndarray, normals: np.ndarray) -> int:
     """How many places, in the scene's frame, lie on no surface; raises if all do, and else warns."""
-    on_triangle, _ = surfaces_at(scene, tracer, positions.astype(np.float32), normals.astype(np.float32))
+    on_triangle, _, _ = surfaces_at(
+        scene, tracer, positions.astype(np.float32), normals.astype(np.float32)
+    )
     detached = int((on_triangle < 0).sum())
     if detached == len(positions):
         raise BakeError(

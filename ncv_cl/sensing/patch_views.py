@@ -45,7 +45,8 @@ def measured(
     ]
     means = np.full((*wanted.shape, SCRAMBLES), np.nan)
     how = np.where(wanted, RECIPROCAL, EXACT)
-    along = np.array([_has_lines(side) for side in sides], bool)
+    # Lines do not pass the holes of textures.
+    along = np.array([_has_lines(side) and not scene.has_holes for side in sides], bool)
     for target in np.flatnonzero(along & wanted.any(axis=0)):
         sources = np.flatnonzero(wanted[:, target])
         chosen = [places[k] for k in sources]
@@ -110,6 +111,8 @@ def _lit_by(scene: Scene, patch: Patch) -> Scene:
         triangles=triangles,
         triangle_material=np.zeros(len(triangles), np.int32),
         triangle_light=light,
+        vertex_uv=None,
+        vertex_colours=None,
         named=(),
     )
 

@@ -14,6 +14,7 @@ from ..opencl.choose import choose_device
 from ..opencl.device import Device
 from ..points.patches import Patch, find_patch
 from ..scene.load import Scene, load_scene
+from ..scene.table import SceneError
 from ..settings.options import MOST_CELLS, MOST_SAMPLES, checked_whole
 from ..visibility.between import nothing_between
 from ..visibility.exchange import exchange_area
@@ -101,7 +102,7 @@ def view_factors(
     Raises
     ------
     SceneError
-        If no surface has one of the names.
+        If no surface has one of the names, or one that has has holes.
     ValueError
         For bad arguments.
     """
@@ -113,7 +114,7 @@ def view_factors(
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
     device = choose_device(device)
-    sides = [find_patch(scene, name) for name in patches]
+    sides = [_whole_patch(scene, name) for name in patches]
     areas = np.array([side.area for side in sides])
     exact = _exact(scene, sides)
     means, how = measured(device, scene, sides, np.isnan(exact), points, lines, seed)
@@ -133,6 +134,19 @@ def view_factors(
         "seconds": {"total": time.perf_counter() - started},
     }
     return ViewFactors(tuple(patches), values, variance, areas, how, stats)
+
+
+def _whole_patch(scene: Scene, name: str) -> Patch:
+    """The patch of a name, whose surfaces must be without holes."""
+    found = find_patch(scene, name)
+    for number in np.unique(scene.triangle_material[found.triangles]):
+        material = scene.materials[number]
+        if material.maps is not None and material.maps.opacity is not None:
+            raise SceneError(
+                f"{scene.name}: surface {name!r} has holes (the opacity of material {material.name!r}), "
+                "which view factors do not know; take the opacity away"
+            )
+    return found
 
 
 def _exact(scene: Scene, sides: list[Patch]) -> np.ndarray:
