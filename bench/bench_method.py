@@ -109,6 +109,7 @@ def measure(
             "size": size,
             "spp": spp,
             "samples": spp * points,
+            "by_kernels": image.stats["rays_traced"] == 0,
             **{f"{m} seconds": found[m][i]["seconds"] for m in METHODS},
             **{f"{m} mse": found[m][i]["mse"] for m in METHODS},
             **ratios(found, i),
@@ -180,7 +181,8 @@ def write(file: Path, device: Device, rows: list[dict]) -> None:
 def kind_of_row(row: dict) -> str:
     """The number that a row tells; by visibility "auto" slices are there, taken or not."""
     integrand = INTEGRANDS[row["integrand"]]()
-    return kind_of(integrand, row["sampler"], integrand.sliced and row["visibility"] == "auto")
+    sliced = integrand.sliced and row["visibility"] == "auto"
+    return kind_of(integrand, row["sampler"], sliced, row.get("by_kernels", False))
 
 
 def line(row: dict) -> str:

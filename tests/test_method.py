@@ -21,11 +21,12 @@ KINDS = {
     ("ao", "sobol", "points"): "SAMPLES_THAT_PAY",
     ("ao", "sobol", "lines"): "SLICES_THAT_PAY",
     ("direct", "sobol", "auto"): "LIGHT_SAMPLES_THAT_PAY",
-    ("gi", "sobol", "auto"): "NOISY_SAMPLES_THAT_PAY",
+    ("gi", "sobol", "auto"): "QUICK_PATHS_THAT_PAY",
+    ("gi", "sobol", "embree"): "NOISY_SAMPLES_THAT_PAY",
     ("ao", "independent", "points"): "NOISY_SAMPLES_THAT_PAY",
     ("ao", "independent", "lines"): "NOISY_SAMPLES_THAT_PAY",
     ("direct", "independent", "auto"): "NOISY_SAMPLES_THAT_PAY",
-    ("gi", "independent", "auto"): "NOISY_SAMPLES_THAT_PAY",
+    ("gi", "independent", "auto"): "QUICK_PATHS_THAT_PAY",
 }
 OPTIONS = {"spp": 64, "size": (8, 8)}
 
@@ -34,12 +35,18 @@ def is_sliced(integrand, visibility):
     return integrand == "ao" and visibility == "lines"
 
 
+def is_by_kernels(integrand, visibility):
+    """In the Cornell box, which is of few triangles."""
+    return integrand == "gi" and visibility == "auto"
+
+
 def choose(integrand, sampler, visibility, spp, points):
     settings = Settings(
         INTEGRANDS[integrand](), "auto", spp, (8, 8), 0, sampling=Sampling(sampler=sampler)
     )
     sliced = is_sliced(integrand, visibility)
-    problem = SimpleNamespace(points=SimpleNamespace(active=points), sliced=sliced)
+    source = SimpleNamespace(by_kernels=is_by_kernels(integrand, visibility))
+    problem = SimpleNamespace(points=SimpleNamespace(active=points), sliced=sliced, source=source)
     return choose_method(problem, settings)
 
 
@@ -64,7 +71,8 @@ def test_auto_is_the_method_that_the_rule_names(
 @pytest.mark.parametrize(("integrand", "sampler", "visibility"), list(KINDS))
 def test_the_rule_counts_samples_of_lit_points(integrand, sampler, visibility):
     kind = KINDS[integrand, sampler, visibility]
-    assert kind_of(INTEGRANDS[integrand](), sampler, is_sliced(integrand, visibility)) == kind
+    how = is_sliced(integrand, visibility), is_by_kernels(integrand, visibility)
+    assert kind_of(INTEGRANDS[integrand](), sampler, *how) == kind
     enough = getattr(tuning, kind)
     if enough == math.inf:
         assert choose(integrand, sampler, visibility, 1 << 20, 1 << 20)[0] == "mc"

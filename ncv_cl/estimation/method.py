@@ -10,21 +10,26 @@ from ..settings.settings import Settings
 from . import tuning
 
 
-def kind_of(integrand: Integrand, sampler: str, sliced: bool = False) -> str:
+def kind_of(integrand: Integrand, sampler: str, sliced: bool = False, by_kernels: bool = False) -> str:
     """The name of the number in tuning.py from which on a control variate pays.
 
     Parameters
     ----------
     sliced : bool
         Whether samples are slices of the hemisphere.
+    by_kernels : bool
+        Whether paths are traced by kernels, and none by the host.
 
     Notes
     -----
     The error of independent samples, and of paths, which add noise of their own, falls no faster than by
     one over the number of samples: a smaller variance soon pays. Sobol points do better, and best where
     rays end on the lights: testing these is cheap, and most points see all of a light or nothing of it.
+    Paths that kernels trace take so little time that training pays for more of them only.
     The error of equidistant slices falls so fast that as many as a network trains on leave it nothing.
     """
+    if integrand.nested and by_kernels:
+        return "QUICK_PATHS_THAT_PAY"
     if integrand.nested or sampler == "independent":
         return "NOISY_SAMPLES_THAT_PAY"
     if sliced:
@@ -37,12 +42,14 @@ def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
 
     Training takes about the same time for every image, and what it takes off grows with the samples.
     """
-    kind = kind_of(settings.integrand, settings.sampling.sampler, problem.sliced)
+    sampler = settings.sampling.sampler
+    kind = kind_of(settings.integrand, sampler, problem.sliced, problem.source.by_kernels)
     enough = getattr(tuning, kind)
     if enough == math.inf:
         what = "ambient occlusion by slices" if problem.sliced else "direct light by Sobol points"
         return "mc", f"{what} has too little noise for a control variate to pay"
     samples = float(settings.spp) * problem.points.active
-    words = "noisy samples" if kind.startswith("NOISY") else "samples"
+    names = {"NOISY_SAMPLES_THAT_PAY": "noisy samples", "QUICK_PATHS_THAT_PAY": "quick paths"}
     side = "at least" if samples >= enough else "less than"
-    return "ncv" if samples >= enough else "mc", f"{samples:.3g} {words} are {side} {enough:.3g}"
+    words = f"{samples:.3g} {names.get(kind, 'samples')} are {side} {enough:.3g}"
+    return "ncv" if samples >= enough else "mc", words

@@ -33,6 +33,7 @@ import math
 # variate's 0.39 in `interior`. The table is bench/results/method.json (--table prints it).
 SAMPLES_THAT_PAY = 1 << 23
 NOISY_SAMPLES_THAT_PAY = 1 << 20
+QUICK_PATHS_THAT_PAY = 1 << 23
 LIGHT_SAMPLES_THAT_PAY = math.inf
 SLICES_THAT_PAY = math.inf
 

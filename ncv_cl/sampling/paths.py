@@ -78,7 +78,7 @@ class PathSource(SampleSource):
         self._textures = Textures.of(device, scene)
         self._frame = HostArray.of(device, guide_frame(scene))
         few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
-        few = self._few = few and not scene.has_holes
+        few = self.by_kernels = few and not scene.has_holes
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
@@ -249,7 +249,7 @@ class PathSource(SampleSource):
 
     def _trace(self) -> None:
         """Closest hits of the rays under way, and which shadow rays reach their lights."""
-        if self._few:
+        if self.by_kernels:
             self._wave.count()
             self.rays.on_device += self._wave.tested
             return

@@ -110,9 +110,12 @@ class Batches:
     ----------
     sliced : bool
         Whether samples are slices of the hemisphere.
+    by_kernels : bool
+        Whether paths are traced by kernels, and none by the host.
     """
 
     sliced = False
+    by_kernels = False
 
     def __init__(
         self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
