@@ -61,7 +61,7 @@ class Plan:
 SMALL = (4, 16, 64, 256, 1024)
 FULL = Plan(
     {64: (*SMALL, 4096, 16384), 256: SMALL, 768: (16, 64)},
-    {"direct": 1 << 26, "ao": 1 << 26, "gi": 1 << 22, "independent": 1 << 22},
+    {"direct": 1 << 26, "ao": 1 << 26, "gi": 1 << 24, "independent": 1 << 22},
 )
 QUICK = Plan({64: SMALL[1:]}, {"direct": 1 << 22, "ao": 1 << 22, "gi": 1 << 18, "independent": 1 << 20})
 SEEDS = (0, 1)
