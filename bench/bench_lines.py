@@ -23,9 +23,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from bench_slices import cut_in_four
 from training import SCENES
-from visibility_case import Case
+from visibility_case import Case, cut_in_four
 
 import ncv_cl as ncv
 from ncv_cl.host.clock import Stopwatch

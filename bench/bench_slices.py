@@ -19,13 +19,12 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from bench_lines import network
 from crossover import Curve, against_the_better
 from training import SCENES
-from visibility_case import Case
+from visibility_case import Case, cut_in_four
 
 import ncv_cl as ncv
 from ncv_cl.host.clock import Stopwatch
@@ -201,22 +200,6 @@ def build(rounds: int) -> None:
         )
         if cuts < 3:
             scene = cut_in_four(scene)
-
-
-def cut_in_four(scene: ncv.Scene) -> ncv.Scene:
-    """Every triangle by the middles of its edges; no corner is shared."""
-    a, b, c = scene.vertices[scene.triangles].transpose(1, 0, 2)
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    corners = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
-    indices = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-    return replace(
-        scene,
-        vertices=corners,
-        vertex_normals=np.zeros_like(corners),
-        triangles=indices,
-        triangle_material=np.repeat(scene.triangle_material, 4),
-        triangle_light=np.repeat(scene.triangle_light, 4),
-    )
 
 
 def main() -> None:

@@ -64,6 +64,8 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"depth": 3, "lights": None}),
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),
     ("control coefficient", "test_alpha", "test_a_coefficient_of_zero_leaves_plain_monte_carlo", {}),
+    ("slices", "test_slices_auto", "test_refused_slices_are_those_of_a_draw", {}),
+    ("points of arrays", "test_sense", "test_irradiance_without_shadows_is_lamberts", {}),
     ("samples", "test_samples", "test_each_sample_finds_its_own_rays_answer", {}),
     ("estimate", "test_accumulate", "test_means_and_variances_match_float64",
      {"channels": 3, "lengths": (1, 1, 200, 3), "mean": 1e3, "spread": 1e-1}),

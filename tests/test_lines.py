@@ -27,7 +27,7 @@ from reference import (
 from test_shaft import CAMERA, FLOOR, LIGHTS, SEVERAL_LIGHTS, soup
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
-from bench_slices import cut_in_four
+from visibility_case import cut_in_four
 
 from ncv_cl.host.clock import Stopwatch
 from ncv_cl.integrands import DirectLight

@@ -9,15 +9,15 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from ..host.files import write_whole
 
-SUFFIXES = (".csv", ".npy", ".ply")
+POINT_FILES = (".csv", ".npy", ".ply")
 # A sensor's columns.
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 
 
 def check_suffix(path: str | Path) -> None:
-    """Raise for a file that is none of `SUFFIXES`."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise ValueError(f"{path} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
+    """Raise for a file that is none of `POINT_FILES`."""
+    if Path(path).suffix.lower() not in POINT_FILES:
+        raise ValueError(f"{path} must end in {', '.join(POINT_FILES[:-1])} or {POINT_FILES[-1]}")
 
 
 def read_points(path: str | Path) -> np.ndarray:

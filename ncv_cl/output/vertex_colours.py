@@ -10,7 +10,7 @@ import trimesh
 from ..host.files import write_whole
 from ..scene.uv_mesh import checked_triangles
 
-SUFFIXES = (".ply", ".glb")
+COLOURED_MESHES = (".ply", ".glb")
 
 
 def write_vertex_colours(path: str | Path, mesh: object, values: np.ndarray) -> None:
@@ -31,8 +31,8 @@ def write_vertex_colours(path: str | Path, mesh: object, values: np.ndarray) -> 
         For another suffix, and values of another shape.
     """
     suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ValueError(f"{path} must end in {' or '.join(SUFFIXES)}")
+    if suffix not in COLOURED_MESHES:
+        raise ValueError(f"{path} must end in {' or '.join(COLOURED_MESHES)}")
     vertices, triangles, _ = checked_triangles(mesh)
     values = np.asarray(values, np.float64)
     if values.shape not in ((len(vertices),), (len(vertices), 1), (len(vertices), 3)):

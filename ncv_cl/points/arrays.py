@@ -8,6 +8,7 @@ import numpy as np
 
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
+from ..scene.geometry import LARGEST_COORDINATE
 from ..scene.load import Scene
 from ..scene.textures.surface import surface_at, varies
 from .points import (
@@ -30,7 +31,6 @@ NEAR_OF_POINT, NEAR_OF_SCENE = 2.0**-16, 2.0**-20
 SNAPPED_FROM = 2.0**-20
 # A sensor stands on a surface edgewise, and counts as beside it, below this cosine between the normals.
 EDGEWISE = 0.01
-LARGEST_COORDINATE = 1e15
 # Vectors whose length differs from 1 by no more are taken as they are.
 UNIT_ROUNDING = 1e-6
 # A sensor's material: what it reflects, times pi, is what it receives.

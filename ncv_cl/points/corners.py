@@ -8,7 +8,7 @@ import numpy as np
 
 # Points are moved from a corner by this part of the way to the triangle's middle: other surfaces may
 # begin at the corner itself.
-INWARD = 2.0**-6
+OFF_CORNERS = 2.0**-6
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def find_corners(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarra
     forward, backward = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     across = np.linalg.norm(np.cross(forward, backward), axis=2)
     angle = np.arctan2(across, (forward * backward).sum(axis=2))
-    positions = corners + INWARD * (corners.mean(axis=1, keepdims=True) - corners)
+    positions = corners + OFF_CORNERS * (corners.mean(axis=1, keepdims=True) - corners)
     found = np.repeat(own, 3, axis=0)
     if normals is not None:
         smooth = normals[triangles].reshape(-1, 3)

@@ -8,7 +8,7 @@ from ..scene.load import Scene
 from .trace import Tracer
 
 # Rays of the hemisphere; more than this part of them must meet backs for a point to be inside.
-RAYS, INSIDE = 32, 0.5
+HIDING_RAYS, INSIDE = 32, 0.5
 # Between points of a texel is looked at this part of their distance above the surface.
 LIFT = 0.25
 # Rays start off the surface by this part of the coordinates.
@@ -28,15 +28,15 @@ def inside(scene: Scene, tracer: Tracer, positions: np.ndarray, normals: np.ndar
     backs = np.zeros(len(positions), np.int64)
     origins = _lifted(scene, positions, normals, 0.0)
     tangent, other = frames(normals)
-    for ray in range(RAYS):
+    for ray in range(HIDING_RAYS):
         # A spiral of even cosine-weighted shares.
-        height = np.sqrt((ray + 0.5) / RAYS)
-        angle, across = ray * np.pi * (3 - np.sqrt(5)), np.sqrt((RAYS - ray - 0.5) / RAYS)
+        height = np.sqrt((ray + 0.5) / HIDING_RAYS)
+        angle, across = ray * np.pi * (3 - np.sqrt(5)), np.sqrt((HIDING_RAYS - ray - 0.5) / HIDING_RAYS)
         directions = across * (np.cos(angle) * tangent + np.sin(angle) * other) + height * normals
         hits = tracer.closest(origins, directions.astype(np.float32))
         back = (planes[hits.triangle] * directions).sum(axis=1) > 0
         backs += (hits.triangle >= 0) & back
-    return backs > INSIDE * RAYS
+    return backs > INSIDE * HIDING_RAYS
 
 
 def apart(

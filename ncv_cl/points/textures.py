@@ -20,7 +20,7 @@ TEXTURE = Record(
     np.uint32,
 )
 # Those of `Maps` that kernels look up.
-KINDS = ("colour", "surface", "emission", "normal")
+LOOKED_UP = ("colour", "surface", "emission", "normal")
 # The index of what has no texture.
 NO_TEXTURE = -1
 
@@ -64,7 +64,7 @@ class Textures:
 
 def all_textures(scene: Scene) -> list[Texture]:
     """The textures of a scene's materials that kernels look up, each once."""
-    found = (getattr(m.maps, kind) for m in scene.materials if m.maps is not None for kind in KINDS)
+    found = (getattr(m.maps, kind) for m in scene.materials if m.maps is not None for kind in LOOKED_UP)
     return list(dict.fromkeys(one for one in found if one is not None))
 
 
