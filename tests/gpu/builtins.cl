@@ -38,7 +38,7 @@ double O fmin(double a, double b) { return __nv_fmin(a, b); }
 double O max(double a, double b) { return __nv_fmax(a, b); }
 double O min(double a, double b) { return __nv_fmin(a, b); }
 BOTH3(fmax) BOTH3(fmin) BOTH3(max) BOTH3(min)
-float4 O mix(float4 a, float4 b, float4 t) { return a + (b - a) * t; }
+float4 O mix(float4 a, float4 b, float t) { return a + (b - a) * t; }
 float O clamp(float x, float a, float b) { return __nv_fminf(__nv_fmaxf(x, a), b); }
 int O min(int a, int b) { return a < b ? a : b; }
 int O max(int a, int b) { return a > b ? a : b; }
@@ -78,6 +78,11 @@ uint O convert_uint(float a) { return (uint)a; }
 uint O convert_uint(int a) { return (uint)a; }
 int O convert_int(float a) { return (int)a; }
 int O convert_int(uint a) { return (int)a; }
+float4 O vload_half4(size_t n, const global half *p) {
+  p += 4 * n;
+  return (float4)(__builtin_load_halff(p), __builtin_load_halff(p + 1), __builtin_load_halff(p + 2),
+                  __builtin_load_halff(p + 3));
+}
 float3 O vload3(size_t n, const global float *p) { p += 3 * n; return (float3)(p[0], p[1], p[2]); }
 void O vstore3(float3 v, size_t n, global float *p) { p += 3 * n; p[0] = v.x; p[1] = v.y; p[2] = v.z; }
 /* Of four bytes' alignment: ptxas may not merge them either. */
