@@ -11,6 +11,33 @@ from ..settings.settings import Settings
 from .pipeline import Outcome
 
 
+def counts(
+    settings: Settings, problem: Problem, outcome: Outcome, watch: Stopwatch, total: float
+) -> dict[str, object]:
+    """Statistics of estimates, of an image's points or of others; arguments as `describe` takes them."""
+    drawn = outcome.drawn
+    stats: dict[str, object] = {"seconds": seconds_of(watch, problem.rays, total)}
+    stats |= statistics(
+        problem.points,
+        problem.rays,
+        problem.device,
+        drawn.plain,
+        outcome.before,
+        drawn.residual,
+        outcome.network,
+        drawn.points_done_twice,
+    )
+    if outcome.training:
+        stats["training"] = outcome.training
+    if problem.apart is not None and drawn.direct is not None:
+        stats["direct"] = about_direct(problem.apart, drawn.direct, settings)
+    if settings.method == "auto":
+        stats["auto"] = outcome.plan.as_dict()
+    if problem.slices is not None:
+        stats["slices"] = problem.slices.as_dict()
+    return stats | {"ended_by": drawn.ended_by}
+
+
 def describe(
     image: Image,
     scene: Scene,
@@ -30,26 +57,7 @@ def describe(
         Seconds of the whole render.
     """
     points, rays, drawn = problem.points, problem.rays, outcome.drawn
-    stats: dict[str, object] = {"seconds": seconds_of(watch, rays, total)}
-    stats |= statistics(
-        points,
-        rays,
-        problem.device,
-        drawn.plain,
-        outcome.before,
-        drawn.residual,
-        outcome.network,
-        drawn.points_done_twice,
-    )
-    if outcome.training:
-        stats["training"] = outcome.training
-    if problem.apart is not None and drawn.direct is not None:
-        stats["direct"] = about_direct(problem.apart, drawn.direct, settings)
-    if settings.method == "auto":
-        stats["auto"] = outcome.plan.as_dict()
-    if problem.slices is not None:
-        stats["slices"] = problem.slices.as_dict()
-    stats["ended_by"] = drawn.ended_by
+    stats = counts(settings, problem, outcome, watch, total)
     stats["skipped"] = {
         **skips(points, rays, settings.integrand.inputs, problem.inputs),
         **outcome.idle,

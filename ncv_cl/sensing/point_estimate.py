@@ -14,7 +14,7 @@ from ..integrands import Integrand
 from ..integrands.emitted import emitted_light
 from ..opencl.choose import choose_device
 from ..output.keep import Keep
-from ..output.report import about_direct, finite, seconds_of, statistics
+from ..output.report import finite
 from ..output.resolve import combine, estimate_of, with_direct
 from ..points.arrays import (
     OffSurfaceError,
@@ -23,6 +23,7 @@ from ..points.arrays import (
     curve_cells,
     ordered,
 )
+from ..rendering.describe import counts
 from ..rendering.pipeline import Outcome, estimate_integrals
 from ..rendering.prepare import prepare
 from ..rendering.render import given_network
@@ -235,29 +236,10 @@ def _values(
 
 def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> dict[str, object]:
     """Counts as of a render, and what is particular to points."""
-    points, rays, drawn = problem.points, problem.rays, outcome.drawn
-    found = statistics(
-        points,
-        rays,
-        problem.device,
-        drawn.plain,
-        outcome.before,
-        drawn.residual,
-        outcome.network,
-        drawn.points_done_twice,
-    )
-    found["seconds"] = seconds_of(run.watch, rays, 0.0)
-    if outcome.training:
-        found["training"] = outcome.training
-    if problem.slices is not None:
-        found["slices"] = problem.slices.as_dict()
-    if problem.apart is not None and drawn.direct is not None:
-        found["direct"] = about_direct(problem.apart, drawn.direct, settings)
-    if settings.method == "auto":
-        found["auto"] = outcome.plan.as_dict()
+    points = problem.points
+    found = counts(settings, problem, outcome, run.watch, 0.0)
     detached = (points.rows("detached")[0] > 0) & (points.light < 0)
     return found | {
-        "ended_by": drawn.ended_by,
         "points_sampled": found["points"],
         "points_detached": int(np.count_nonzero(detached)),
         "points_on_lights": int(np.count_nonzero(points.light >= 0)),
