@@ -105,6 +105,7 @@ def compare_allocations(case: Case, spp: int) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", metavar="SCENE", help="default: all")
+    parser.add_argument("--quick", action="store_true", help="one scene, small, few samples")
     parser.add_argument("--spp", type=int, help="default: 512, of allocations 128")
     parser.add_argument("--size", type=int, default=128, help="points a side (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="renders of each (default %(default)s)")
@@ -116,6 +117,8 @@ def main() -> None:
     print(device.identity)
     function, spp = (compare_allocations, 128) if options.allocations else (to_equal_error, 512)
     results = {}
+    if options.quick:
+        options.cases, options.size, options.spp = SHIPPED[:1], 24, 32
     for name in options.cases or (*SHIPPED, *ROOMS):
         case = Case(device, name, options.size, options.seeds)
         results[name] = function(case, options.spp or spp)

@@ -1,4 +1,4 @@
-"""Seconds to the error of Mitsuba's 1024 samples: direct light, and surfaces under a white sky.
+"""Seconds to the error of Mitsuba's 1024 samples: direct light, a white sky, global illumination.
 
     DRJIT_LIBLLVM_PATH=libLLVM.so python bench/mitsuba_equal.py
 
@@ -21,10 +21,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from compare_mitsuba import DIRECT, SCENES, SKY, limit_threads, our_integrand
+from compare_mitsuba import DIRECT, PATH, SCENES, SKY, limit_threads, our_integrand
 from crossover import Curve
 from mitsuba_scene import MitsubaScene, import_mitsuba
 from mitsuba_speed import in_passes
+from rooms import ROOMS
 
 import ncv_cl as ncv
 from ncv_cl.opencl.choose import choose_device
@@ -36,10 +37,15 @@ CASES = (
     ("cornell_box", "ao"),
     ("occluders", "ao"),
     ("knot", "ao"),
+    ("cornell_box", "gi"),
+    ("interior", "gi"),
+    ("office", "gi"),
+    ("white", "gi"),
 )
 SAMPLERS = ("independent", "multijitter")
 TARGET, A_PASS = 1024, 64
 OUR_SAMPLES = {"direct": (4, 8, 16, 32, 64, 128), "ao": (16, 64, 128, 256, 512, 1024)}
+OUR_SAMPLES["gi"] = (4, 16, 64, 128)
 
 
 def main() -> int:
@@ -61,9 +67,8 @@ def main() -> int:
     print(device.identity)
     rows = []
     for name, integrand in [tuple(case.split(":")) for case in options.case or ()] or CASES:
-        theirs = MitsubaScene(
-            mitsuba, ncv.load_scene(SCENES / f"{name}.toml"), white_under_sky=integrand == "ao"
-        )
+        scene = ROOMS[name]() if name in ROOMS else ncv.load_scene(SCENES / f"{name}.toml")
+        theirs = MitsubaScene(mitsuba, scene, white_under_sky=integrand == "ao")
         rows += compare(theirs, name, integrand, options.size, options.rounds, device)
     if options.json:
         report = {"mitsuba": mitsuba.__version__, "variant": mitsuba.variant(), "rows": rows}
@@ -76,7 +81,7 @@ def compare(
     theirs: MitsubaScene, name: str, integrand: str, size: int, rounds: int, device: Device
 ) -> list[dict]:
     """A row for each of Mitsuba's samplers: both renderers' seconds to its error."""
-    method = {"direct": DIRECT, "ao": SKY}[integrand]
+    method = {"direct": DIRECT, "ao": SKY, "gi": PATH}[integrand]
     shape = (size, size)
 
     def ours(spp: int, seed: int) -> np.ndarray:
