@@ -9,8 +9,9 @@ elapsed time instead, for a quiet machine or a GPU.
 
 A method's ratio at a number of samples: the seconds of whichever of the two reaches its picture's error
 sooner (`crossover.Curve`), over its own; 1 is best. The threshold of a kind of integrand is the number
-of samples of the image, samples a point times lit points, that makes the worst ratio of the rule's
-choices as good as it can be. It is a power of two, and infinite where the control variate never pays.
+of samples of the image, samples a point times lit points (samples a point of paths that kernels trace),
+that makes the worst ratio of the rule's choices as good as it can be. It is a power of two, and infinite
+where the control variate never pays.
 """
 
 from __future__ import annotations
@@ -135,18 +136,19 @@ def ratios(found: dict[str, list[dict]], number: int) -> dict[str, float]:
     return result
 
 
-def choice(rows: list[dict], threshold: float) -> list[float]:
-    """Ratios of what a threshold chooses."""
-    return [row["ncv" if row["samples"] >= threshold else "mc"] for row in rows]
+def choice(rows: list[dict], threshold: float, number: str = "samples") -> list[float]:
+    """Ratios of what a threshold of this number chooses."""
+    return [row["ncv" if row[number] >= threshold else "mc"] for row in rows]
 
 
-def threshold_of(rows: list[dict]) -> float:
+def threshold_of(rows: list[dict], number: str = "samples") -> float:
     """The power of two, or infinity, whose worst ratio is the best; of equal ones, the best mean."""
-    most = max(row["samples"] for row in rows)
-    candidates = [*(2.0**k for k in range(14, int(math.log2(most)) + 1)), math.inf]
+    most = max(row[number] for row in rows)
+    first = 14 if number == "samples" else 2
+    candidates = [*(2.0**k for k in range(first, int(math.log2(most)) + 1)), math.inf]
 
     def worth(threshold: float) -> tuple[float, float]:
-        ratios = choice(rows, threshold)
+        ratios = choice(rows, threshold, number)
         return min(ratios), float(np.log(ratios).sum())
 
     return max(candidates, key=worth)
@@ -159,12 +161,13 @@ def show(rows: list[dict]) -> None:
     kinds = [kind_of_row(row) for row in rows]
     for kind in dict.fromkeys(kinds):
         own = [row for row, its in zip(rows, kinds, strict=True) if its == kind]
-        threshold = threshold_of(own)
+        counted = "spp" if kind == "QUICK_PATHS_THAT_PAY" else "samples"
+        threshold = threshold_of(own, counted)
         number = "math.inf" if threshold == math.inf else f"1 << {math.log2(threshold):.0f}"
         print(f"{kind} = {number}")
         now = getattr(tuning, kind)
         for name, limit in (("this", threshold), ("tuning.py", now), ("mc", math.inf), ("ncv", 0)):
-            got = choice(own, limit)
+            got = choice(own, limit, counted)
             print(f"  {name:9}: ratio {min(got):.2f} at worst, {np.exp(np.mean(np.log(got))):.2f} mean")
 
 

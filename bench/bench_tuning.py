@@ -39,7 +39,8 @@ from ncv_cl.settings.schedule import Schedule
 
 FOLDERS = ("integrands", "visibility", "settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
-ELSEWHERE = ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY", "SLICES_THAT_PAY")
+KINDS = ("", "NOISY_", "LIGHT_")
+ELSEWHERE = (*(f"{kind}SAMPLES_THAT_PAY" for kind in KINDS), "SLICES_THAT_PAY", "QUICK_PATHS_THAT_PAY")
 VALUES = {
     "HIDDEN": ((8, 8), (16, 8), (16, 16)),
     "WIDE_HIDDEN": ((8, 8), (16, 16), (24, 24)),

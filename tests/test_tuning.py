@@ -129,6 +129,7 @@ def test_the_rules_script_measures_and_prints_every_number(one_device, capsys):
         ("knot", "ao", "points"),
         ("cornell_box", "ao"),
         ("cornell_box", "gi"),
+        ("cornell_box", "gi", "embree"),
     ):
         rows += bench_method.measure(one_device, case, 8, "sobol", plan, time.process_time)
     for row in rows:

@@ -25,7 +25,8 @@ def kind_of(integrand: Integrand, sampler: str, sliced: bool = False, by_kernels
     The error of independent samples, and of paths, which add noise of their own, falls no faster than by
     one over the number of samples: a smaller variance soon pays. Sobol points do better, and best where
     rays end on the lights: testing these is cheap, and most points see all of a light or nothing of it.
-    Paths that kernels trace take so little time that training pays for more of them only.
+    Paths that kernels trace take so little time that what a network costs at each point pays only with
+    many of them at a point.
     The error of equidistant slices falls so fast that as many as a network trains on leave it nothing.
     """
     if integrand.nested and by_kernels:
@@ -49,7 +50,10 @@ def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
         what = "ambient occlusion by slices" if problem.sliced else "direct light by Sobol points"
         return "mc", f"{what} has too little noise for a control variate to pay"
     samples = float(settings.spp) * problem.points.active
-    names = {"NOISY_SAMPLES_THAT_PAY": "noisy samples", "QUICK_PATHS_THAT_PAY": "quick paths"}
+    words = "noisy samples" if kind.startswith("NOISY") else "samples"
+    if kind == "QUICK_PATHS_THAT_PAY":
+        if settings.spp < enough:
+            return "mc", f"{settings.spp} quick paths a point are less than {enough:.3g}"
+        enough, words = tuning.NOISY_SAMPLES_THAT_PAY, "quick paths"
     side = "at least" if samples >= enough else "less than"
-    words = f"{samples:.3g} {names.get(kind, 'samples')} are {side} {enough:.3g}"
-    return "ncv" if samples >= enough else "mc", words
+    return "ncv" if samples >= enough else "mc", f"{samples:.3g} {words} are {side} {enough:.3g}"
