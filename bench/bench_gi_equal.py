@@ -24,6 +24,7 @@ from rooms import ROOMS
 from training import SCENES
 
 import ncv_cl as ncv
+from ncv_cl.estimation.pilot import DARK_SHARE
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
@@ -33,8 +34,6 @@ OTHERS = {"auto": {"method": "auto"}, "mc": {"method": "mc"}}
 ALLOCATIONS = {
     name: {"method": "ncv", "allocation": name} for name in ("uniform", "magnitude", "relative")
 }
-# An error of dark pixels counts relative to this part of the image's mean.
-DARK_SHARE = 0.01
 ERRORS = ("mse", "relative")
 
 

@@ -16,7 +16,8 @@ from .control_variate import ControlVariate
 from .direct import DirectEstimate
 from .passes import Passes, Target, short_pass_edges, shortest_pass
 
-# Errors of pixels are relative to their values plus this part of the image's mean: dark ones count less.
+# Errors of pixels are relative to their values plus this part of the image's mean, a convention that
+# bench/bench_gi_equal.py measures by as well: without it those of black pixels would be all that counts.
 DARK_SHARE = 0.01
 
 

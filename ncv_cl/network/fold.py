@@ -12,7 +12,8 @@ from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from .network import WEIGHT_GROUPS, Network, NetworkError
 
-# Points whose features are held at a time while they are folded.
+# Points whose features are held at a time while they are folded: a bound on memory, of 64 features
+# 16 MiB; pixels do not depend on it.
 POINTS_PER_FOLD = 1 << 16
 
 
