@@ -13,6 +13,7 @@ from ncv_cl import BakeError, UVMesh
 from ncv_cl.cli import main
 from ncv_cl.points.texels import find_texels
 from ncv_cl.points.trace import Tracer
+from ncv_cl.scene.uv_mesh import read_uv_mesh
 from ncv_cl.sensing.bake import _dilated
 
 CAMERA = ncv.Camera((1, 0.5, 1), (3, 0.5, 1), 60)
@@ -358,3 +359,19 @@ def test_a_mesh_without_uvs_is_unwrapped(one_device):
         ncv.unwrap(mesh, time_limit=1e-3)
     with pytest.raises(BakeError, match="could not unwrap"):
         ncv.unwrap(mesh, size=-5, padding="x")
+
+
+def test_a_file_keeps_its_normals_and_flat_parts_stay_flat(tmp_path):
+    """Two objects, one with normals: it is smooth, the other has its triangles' normals."""
+    square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    parts = "o flat\nusemtl a\nf 1/1 2/2 3/3\no smooth\nusemtl b\nvn 0.6 0 0.8\nf 1/1/1 3/3/1 4/4/1\n"
+    (tmp_path / "two.obj").write_text(square + parts)
+    mesh = read_uv_mesh(tmp_path / "two.obj")
+    corners = mesh.vertices[mesh.triangles]
+    assert len(corners) == 2 and np.array_equal(corners[..., :2], mesh.uv[mesh.triangles])
+    expected = {(1.0, 0.0): (0, 0, 1), (0.0, 1.0): (0.6, 0, 0.8)}
+    for corner, normal in expected.items():
+        found = mesh.normals[(mesh.uv == corner).all(axis=1)]
+        assert len(found) == 1 and np.allclose(found[0], normal, atol=1e-15)
+    (tmp_path / "flat.obj").write_text(square + "f 1/1 2/2 3/3\n")
+    assert read_uv_mesh(tmp_path / "flat.obj").normals is None

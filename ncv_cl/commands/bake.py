@@ -24,7 +24,7 @@ def add_bake(commands: argparse._SubParsersAction) -> None:
     parser = commands.add_parser("bake", help=text, description=text, formatter_class=Help)
     add = parser.add_argument
     add("scene", help="scene file (.toml), of which the mesh is a part")
-    add("mesh", help="the mesh with its UVs, where it is in the scene: .obj, .ply, .glb, ...")
+    add("mesh", help="the mesh with its UVs, where it is in the scene: .obj, .ply, .gltf or .glb")
     add("--integrand", choices=("ao", "direct", "gi"), default="ao", help="of light: irradiance over pi")
     add("--radius", type=float, help="ambient occlusion: farthest occluder (default: any)")
     add("--size", type=int, default=512, metavar="N", help="texels of a side")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
+
+from .geometry import Mesh, normalised
+from .meshes import read_meshes
 
 
 class BakeError(ValueError):
@@ -36,21 +38,36 @@ class UVMesh:
 
 
 def read_uv_mesh(path: str | Path) -> UVMesh:
-    """The mesh of a file that trimesh reads, with its UVs, flat; several objects are joined.
+    """The mesh of a file of any kind that scenes read, shaded as scenes shade it; its parts are joined.
 
     Raises
     ------
     BakeError
-        If the file cannot be read or has no UVs.
+        If the file cannot be read or a part of it has no UVs.
     """
     try:
-        found = trimesh.load(path, process=False, force="mesh")
-    except (OSError, ValueError, KeyError, IndexError, NotImplementedError) as error:
-        raise BakeError(f"{path}: cannot read the mesh: {error}") from error
-    uv = getattr(found.visual, "uv", None)
-    if uv is None or not len(found.faces):
+        parts = [part.mesh for part in read_meshes(Path(path), np.eye(4), None, coordinates=True).meshes]
+    except ValueError as error:
+        raise BakeError(f"{path}: {error}") from error
+    if any(part.uv is None for part in parts):
         raise BakeError(f"{path}: has no UVs: unwrap the mesh, as Blender and ncv.unwrap do")
-    return UVMesh(np.array(found.vertices), np.array(found.faces), np.array(uv))
+    if any(part.normals.any() for part in parts):
+        parts = [part if part.normals.any() else _with_own_normals(part) for part in parts]
+    firsts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    vertices, normals, uv = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("vertices", "normals", "uv")
+    )
+    triangles = [part.triangles + first for part, first in zip(parts, firsts, strict=True)]
+    return UVMesh(vertices, np.concatenate(triangles), uv, normals if normals.any() else None)
+
+
+def _with_own_normals(mesh: Mesh) -> Mesh:
+    """A flat mesh as one whose triangles share no vertex and whose normals are the triangles'."""
+    corners = mesh.triangles.ravel()
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    normals = np.repeat(normalised(np.cross(b - a, c - a)), 3, axis=0)
+    apart = mesh.with_rows(lambda rows: rows[corners], np.arange(len(corners)).reshape(-1, 3))
+    return replace(apart, normals=normals)
 
 
 def checked_triangles(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
