@@ -13,6 +13,7 @@ from .network.network import Network, NetworkError
 from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
+from .output.compare import Comparison, compare
 from .output.image import Image
 from .output.vertex_colours import write_vertex_colours
 from .points.arrays import PointError
@@ -36,6 +37,7 @@ __all__ = [
     "AmbientOcclusion",
     "BakeError",
     "Camera",
+    "Comparison",
     "Device",
     "DeviceError",
     "DirectLight",
@@ -68,6 +70,7 @@ __all__ = [
     "bake_vertices",
     "build_scene",
     "choose_device",
+    "compare",
     "devices",
     "draw_subdivision",
     "estimate",
