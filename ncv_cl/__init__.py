@@ -21,6 +21,7 @@ from .rendering.render import render
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .scene.sky.environment import Environment, Sun
 from .scene.table import SceneError
 from .scene.textures.texture import Texture
 from .scene.unwrap import unwrap
@@ -39,6 +40,7 @@ __all__ = [
     "Device",
     "DeviceError",
     "DirectLight",
+    "Environment",
     "Files",
     "GlobalIllumination",
     "Image",
@@ -58,6 +60,7 @@ __all__ = [
     "SceneError",
     "Stopping",
     "Subdivision",
+    "Sun",
     "Texture",
     "Training",
     "TriangleMesh",

@@ -16,16 +16,17 @@
  * the light. Lights that are small as seen from the position are sampled by area, (u, v) along the edges, which
  * is then as good and costs less.
  *
- * `lights`: LIGHT_COUNT records of LIGHT in lights.py, which says what they hold. With two lights or more follow a
- * record of FRAME there; rows of STRIP_STEPS numbers of lights, then first and width of each light's strip (STRIP), the
- * first row by the lights' power alone; and the number of each cell's row. A row is known by where it begins.
+ * `lights`: LIGHT_COUNT records of LIGHT in lights.py, which says what they hold. With two lights or more, or an environment (HAS_ROWS), follow a
+ * record of FRAME there; rows of STRIP_STEPS numbers of lights, then first and width of each light's strip (STRIP), and
+ * SKY_NUMBERS for environment.cl, the first row by the lights' power alone; and the number of each cell's row. A row is known by where it begins.
  *
  * Work-group contract: none; pure functions of private values.
  */
 
 #define LIGHT_FRAME (LIGHT_COUNT * LIGHT_FLOATS)
 #define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
-#define LIGHT_ROW_FLOATS (STRIP_STEPS + STRIP_FLOATS * LIGHT_COUNT)
+#define STRIP_COUNT LIGHT_COUNT
+#define LIGHT_ROW_FLOATS (STRIP_STEPS + STRIP_FLOATS * STRIP_COUNT + SKY_NUMBERS)
 /* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
 #ifndef INLINED
 #define INLINED __attribute__((always_inline))
@@ -142,7 +143,7 @@ whole all_strips(global const float *restrict lights) {
   return (whole)FIRST_ROW;
 }
 
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
 /* Where the strips of surfaces at (x, y, z) with this geometric normal, on the side that is lit, begin. One text for
  * a shading point and for VEC hits. */
 #define DEFINE_STRIPS(name, number, integer, to_integer, choose, look_up)                                           \
@@ -181,7 +182,7 @@ DEFINE_STRIPS(point_strips, float, int, convert_int, CHOOSE, LOOK_UP)
 #endif
 
 whole strips_of(global const float *restrict lights, const triple position, const triple normal) {
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
   return hit_strips(lights, position.x, position.y, position.z, normal.x, normal.y, normal.z);
 #else
   (void)position;
@@ -191,7 +192,7 @@ whole strips_of(global const float *restrict lights, const triple position, cons
 }
 
 whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
   const float3 x = p->position;
   const float3 n = p->geometric_normal;
   /* What a cell's row leaves out is known of its surfaces only. */

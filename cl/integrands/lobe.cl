@@ -69,9 +69,46 @@ void guess_places(global const float *restrict lights, const whole record, const
                       FMA(a, edge1.z, FMA(b, edge2.z, begin.z))};
 }
 
+#if HAS_ENVIRONMENT
+/* What a direction of the environment brings, had all directions above the surface as much. */
+LightGuess guess_environment(global const float *restrict lights, const whole strips, const Scatterer *s,
+                             const triple towards) {
+  const SkySeen seen = sky_seen(lights, strips, towards, (whole)NO_STRIP);
+  LightGuess guess;
+  guess.solid_angle = (real)(2.0f * M_PI_F);
+  guess.light = seen.density;
+  guess.lobe = lobe_density(s, towards);
+  real f_r[3];
+  scattering(s, towards, f_r);
+  guess.amount = (f_r[0] * seen.radiance.x + f_r[1] * seen.radiance.y + f_r[2] * seen.radiance.z) *
+                 max(dot_triple(s->normal, towards), (real)0.0f);
+  return guess;
+}
+#endif
+
+/* Adds to the second moments by each share what lanes of lights that are `here` make of them. */
+void add_moments(const Scatterer *s, const LightGuess *peak, const LightGuess *rest, const whole here,
+                 float moment[LOBE_SHARE_COUNT]) {
+  const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
+  /* A region of about the lobe's density where it is largest, had it the middle there or its tail. */
+  const real alpha = s->roughness * s->roughness;
+  const real region = min(alpha * sqrt(4.0f * M_PI_F / max(peak->lobe, (real)1e-30f)), peak->solid_angle);
+  const real left = max(rest->solid_angle - region, (real)0.0f);
+  const real of_peak = region * peak->amount * peak->amount;
+  const real of_rest = left * rest->amount * rest->amount;
+  for (uint k = 0; k < LOBE_SHARE_COUNT; ++k) {
+    const float share = shares[k];
+    const real density = FMA((real)share, peak->lobe, (1.0f - share) * peak->light);
+    const real density_rest = FMA((real)share, rest->lobe, (1.0f - share) * rest->light);
+    moment[k] += sum_lanes(SELECT((real)0.0f, of_peak / max(density, (real)1e-30f) +
+                                                  of_rest / max(density_rest, (real)1e-30f), here));
+  }
+}
+
 /* The lobe's share of the point's square; lights in lanes. */
 float lobe_share_of_square(global const float *restrict lights, const whole strips, const ShadingPoint *p) {
   const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
+  const real part = lights_share(lights, strips);
   const Scatterer surface = scatterer_of(p);
   const Scatterer *s = &surface;
   const real twice = 2.0f * dot_triple(s->normal, s->outgoing);
@@ -84,27 +121,21 @@ float lobe_share_of_square(global const float *restrict lights, const whole stri
   for (uint first = 0; first < LIGHT_COUNT; first += VEC) {
     const whole light = min(TO_WHOLE(LANE_NUMBER) + (int)first, (whole)(LIGHT_COUNT - 1));
     const whole record = light * LIGHT_FLOATS;
-    const real width = strip_width(lights, strips, record);
+    const real width = part * strip_width(lights, strips, record);
     const whole here = (TO_WHOLE(LANE_NUMBER) + (int)first < LIGHT_COUNT) && (width > 0.0f);
     triple middle, nearest;
     guess_places(lights, record, position, mirrored, &middle, &nearest);
     const LightGuess rest = guess_light(lights, record, width, s, position, middle);
     const LightGuess peak = guess_light(lights, record, width, s, position, nearest);
     needed = needed || ANY(here && (peak.lobe > LOBE_NEED * peak.light));
-    /* A region of about the lobe's density where it is largest, had it the middle there or its tail. */
-    const real alpha = s->roughness * s->roughness;
-    const real region = min(alpha * sqrt(4.0f * M_PI_F / max(peak.lobe, (real)1e-30f)), peak.solid_angle);
-    const real left = max(rest.solid_angle - region, (real)0.0f);
-    const real of_peak = region * peak.amount * peak.amount;
-    const real of_rest = left * rest.amount * rest.amount;
-    for (uint k = 0; k < LOBE_SHARE_COUNT; ++k) {
-      const float share = shares[k];
-      const real density = FMA((real)share, peak.lobe, (1.0f - share) * peak.light);
-      const real density_rest = FMA((real)share, rest.lobe, (1.0f - share) * rest.light);
-      moment[k] += sum_lanes(SELECT((real)0.0f, of_peak / max(density, (real)1e-30f) +
-                                                    of_rest / max(density_rest, (real)1e-30f), here));
-    }
+    add_moments(s, &peak, &rest, here, moment);
   }
+#if HAS_ENVIRONMENT
+  const LightGuess above = guess_environment(lights, strips, s, s->normal);
+  const LightGuess ahead = guess_environment(lights, strips, s, mirrored);
+  needed = needed || ANY((ahead.amount > 0.0f) && (ahead.lobe > LOBE_NEED * ahead.light));
+  add_moments(s, &ahead, &above, LANE_NUMBER < (bits)1u, moment);
+#endif
   uint best = 0;
   float least = needed && shares[0] == 0.0f ? INFINITY : moment[0];
   for (uint k = 1; k < LOBE_SHARE_COUNT; ++k)
@@ -170,8 +201,21 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   return sample;
 }
 
-triple select_triple(const triple a, const triple b, const whole condition) {
-  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
+/* As lights_met; where no light is met, the environment. */
+LightSample emitters_met(global const float *restrict lights, const whole strips, const triple position,
+                         const triple origin, const triple direction) {
+  LightSample met = lights_met(lights, strips, position, origin, direction);
+#if HAS_ENVIRONMENT
+  const whole outside = !met.lit;
+  const SkySeen seen = sky_seen(lights, strips, direction, (whole)NO_STRIP);
+  met.radiance[0] = SELECT(met.radiance[0], seen.radiance.x, outside);
+  met.radiance[1] = SELECT(met.radiance[1], seen.radiance.y, outside);
+  met.radiance[2] = SELECT(met.radiance[2], seen.radiance.z, outside);
+  met.density = SELECT(met.density * lights_share(lights, strips), seen.density, outside);
+  met.segment = select_triple(met.segment, out_of_scene(lights, position, direction), outside);
+  met.lit = met.lit || (seen.density > 0.0f);
+#endif
+  return met;
 }
 
 /* The lights' u of a sample past the lobe's share of the square. */
@@ -186,10 +230,10 @@ LightSample sample_lights_and_lobe(global const float *restrict lights, const Sh
   const triple position = to_triple(p->position);
   const triple origin = to_triple(ray_origin(p));
   const float share = p->lobe_share;
-  if (!(share > 0.0f)) return sample_lights(lights, strips, position, origin, u, v);
+  if (!(share > 0.0f)) return sample_emitters(lights, strips, position, origin, u, v);
   const whole in_lobe = u < share;
-  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
-  const LightSample met = lights_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
+  LightSample sample = sample_emitters(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
+  const LightSample met = emitters_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
   sample.lit = SELECT(sample.lit, met.lit, in_lobe);
   sample.density = SELECT(sample.density, met.density, in_lobe);
   sample.towards = select_triple(sample.towards, met.towards, in_lobe);

@@ -48,8 +48,10 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.direction = sample_scattering(&s, LOAD(u + at), LOAD(v + at));
   const real density = scattering_density(&s, ray.direction);
   ray.throughput = bounce_throughput(&s, to_triple(p.geometric_normal), ray.direction, density);
-  /* Matte surfaces have found the lights by their points alone. */
-#if DIRECT
+  /* Matte surfaces have found the lights by their points alone, but for scenes with an environment (gi.cl). */
+#if DIRECT && HAS_ENVIRONMENT
+  ray.density = density;
+#elif DIRECT
   ray.density = SELECT((real)0.0f, density, is_shiny(&s));
 #else
   ray.density = (real)0.0f;
@@ -118,7 +120,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
     /* Lanes past the last ray hold anything. */
     const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
 #else
@@ -127,6 +129,15 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
+#if HAS_ENVIRONMENT
+  /* So does leaving the scene. */
+  const whole outside = here && !met;
+  if (ANY(outside)) {
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), outside);
+    const triple found = sky_met(lights, left, direction, LOAD(PLANE(wave, WAVE_DENSITY) + first));
+    brought = sum_where(brought, product(ray.throughput, found), outside);
+  }
+#endif
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
@@ -167,7 +178,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
-      sample_lights(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
+      sample_emitters(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);

@@ -5,7 +5,7 @@
  * emission, with HAS_NORMALS the corners' normals, with HAS_TEXTURES and HAS_COLOURS what is interpolated for
  * textures.cl and between the corners' colours. Both sides are alike.
  *
- * Joined after lights.cl, textures.cl, guide.cl and wave.cl.
+ * Joined after environment.cl, textures.cl, guide.cl and wave.cl.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
@@ -91,7 +91,8 @@ triple light_met(global const float *restrict lights, const whole strips, const 
   const real emitted = -dot_triple(light_triple(lights, record, LIGHT_NORMAL), direction);
   const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
-  const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
+  const real other = lights_share(lights, strips) *
+                     light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
   const real share = density / (density + other);
   const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
   const triple amount = light_triple(lights, record, LIGHT_RADIANCE);

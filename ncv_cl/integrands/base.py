@@ -235,6 +235,21 @@ class Integrand:
         """
         return np.zeros((len(light), 3), np.float32)
 
+    def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
+        """Radiance that pixels show where the camera sees nothing of the scene, float64 (n, 3).
+
+        Parameters
+        ----------
+        directions : ndarray
+            float64 (n, 3), unit directions that the camera looks in.
+
+        Returns
+        -------
+        ndarray, optional
+            None where that is black.
+        """
+        return None
+
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         """Radiance that surfaces emit, which is added to the pixels, float32 (points, 3).
 

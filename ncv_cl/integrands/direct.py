@@ -1,4 +1,4 @@
-"""Direct light from quad area lights."""
+"""Direct light: from area lights, and from outside of the scene."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from ..points.points import ShadingPoints
 from ..scene.load import QuadLight, Scene
 from . import tuning
 from .base import Integrand, IntegrandError
+from .environment import environment_dark, environment_seen, has_environment
 from .lights import emitted_by_lights, light_defines, light_records
 
 
 class DirectLight(Integrand):
-    """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
+    """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, and ∫ f_r L V cos dω outside, RGB.
 
-    (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
+    (u, v) is a point on a light as it is seen from p (lights.cl), or a direction of the environment
+    (environment.cl). Several lights share the unit square
     as strips in u, see `lights.light_rows`, so the integral stays two-dimensional.
     """
 
     name = "direct"
-    files = ("bsdf", "bounce", "lights", "lobe", "direct")
+    files = ("bsdf", "bounce", "lights", "environment", "lobe", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
@@ -66,23 +68,29 @@ class DirectLight(Integrand):
                 side = np.asarray(light.normal, np.float64)
                 below |= side @ position[:, dark] <= side @ np.asarray(light.corner, np.float64)
             dark = dark[below]
+        if has_environment(scene):
+            below = [environment_dark(scene, normal[:, dark]) for normal in normals]
+            dark = dark[below[0] | below[1]]
         return np.isin(np.arange(position.shape[1]), dark)
+
+    def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
+        return environment_seen(scene, directions)
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
 
     def _check_lights(self, scene: Scene) -> None:
-        if not scene.lights:
+        if not scene.lights and not has_environment(scene):
             raise IntegrandError(
                 f"{scene.name} has no light, so direct light is zero everywhere: "
-                "add a [[lights]] entry to the scene, or render ambient occlusion"
+                "add a [[lights]] entry or an [environment] to the scene, or render ambient occlusion"
             )
         for material in scene.materials:
             if material.emission.any() and not self._part:
                 raise IntegrandError(
                     f"{scene.name}: material {material.name!r} emits, but direct light is that of "
-                    "[[lights]] only: render integrand gi, which finds it, or take its emission away "
-                    "(if a mesh file has it: give the mesh a material of the scene)"
+                    "[[lights]] and [environment] only: render integrand gi, which finds it, or take "
+                    "its emission away (if a mesh file has it: give the mesh a material of the scene)"
                 )
 
 

@@ -11,6 +11,7 @@ from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET
 from ..scene.load import Scene
 from . import tuning
+from .environment import SKY_ROW, environment_defines, has_environment, maps_begin, sky_block, sky_rows
 from .light_cells import Cells, Lights, may_light, mean_irradiance, scene_cells
 
 # A light, in the scene's frame. `normal` is that of the emitting side and `offset` that of ray ends off
@@ -38,8 +39,9 @@ LIGHT = Record(
     multiple=16,
 )
 # Between the records and the rows of strips: the grid of cells by its lower corner, one over the extent
-# of its boxes and how many there are along each axis, and where the table of cells begins.
-FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1}, multiple=16)
+# of its boxes and how many there are along each axis, and where the table of cells and what
+# environment.cl reads begin.
+FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1, "sky": 1}, multiple=16)
 STRIP = Record("STRIP", {"first": 1, "width": 1})
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
 FEWEST_STRIP_STEPS = 16
@@ -98,11 +100,15 @@ class LightRows:
     table : ndarray
         int64 (cells.table_length,), the row of each cell; 0 where no light may light it, or nothing is.
     cells : Cells
+    sky, maps : ndarray
+        Of the environment: float64 (rows, SKY_ROW.size + suns), or none; and its maps.
     """
 
     widths: np.ndarray
     table: np.ndarray
     cells: Cells
+    sky: np.ndarray
+    maps: np.ndarray
 
     @property
     def strips(self) -> np.ndarray:
@@ -115,34 +121,59 @@ _RECORDS: WeakKeyDictionary[Scene, np.ndarray] = WeakKeyDictionary()
 
 
 def light_rows(scene: Scene) -> LightRows:
-    """The rows of a scene of two lights or more, made once."""
+    """The rows of a scene that `has_rows`, made once."""
     if scene not in _ROWS:
         _ROWS[scene] = _light_rows(scene)
     return _ROWS[scene]
 
 
 def _light_rows(scene: Scene) -> LightRows:
-    count, lights = len(scene.lights), Lights.of(scene.lights)
-    most = min(ROW_FLOATS_AT_MOST // _row_floats(count), PAIRS_AT_MOST // count)
+    count = len(scene.lights)
+    most = min(ROW_FLOATS_AT_MOST // _row_floats(scene), PAIRS_AT_MOST // max(count, 1))
     cells = next(
         cells for side in SIDES if len((cells := scene_cells(scene, side)).number) <= most or side == 1
     )
-    may = may_light(cells, lights) & (lights.power > 0)
-    lit = may.any(axis=1)
-    may, brings = may[lit], mean_irradiance(cells.only(lit), lights)
+    may, found, by_power = _of_area_lights(scene, cells)
+    sky = sky_rows(scene, cells) if has_environment(scene) else None
+    lit = may.any(axis=1) | (False if sky is None else sky.lit)
+    may, brings = may[lit], found[lit]
     # Those that may light a cell but bring nothing to its places have their equal part.
     most = brings.max(axis=1, keepdims=True, where=may, initial=0.0)
     brings = np.where(may, np.maximum(brings, np.where(most > 0, 1e-30 * most, 1.0)), 0.0)
-    widths, row = np.unique(strip_widths(brings), axis=0, return_inverse=True)
+    rows = np.concatenate([by_power, strip_widths(brings) if count else brings])
+    if sky is not None:
+        # Nothing is known of places that are in no cell.
+        unit = max((float(one.radiance.mean()) for one in scene.lights), default=0.0)
+        from_lights = np.append(sky.brings[0].sum() if count else 0.0, unit * found.sum(axis=1))
+        columns = sky.columns(strip_widths(sky.brings), from_lights)
+        rows = np.concatenate([rows, columns[np.append(True, lit)]], axis=1)
+    distinct, row = np.unique(rows[1:], axis=0, return_inverse=True)
     table = np.zeros(cells.table_length, np.int64)
     table[cells.number[lit]] = row.ravel() + 1
-    return LightRows(np.concatenate([strip_widths(lights.power)[None], widths]), table, cells)
+    rows = np.concatenate([rows[:1], distinct])
+    maps = np.zeros((0, 0), np.float32) if sky is None else sky.maps
+    return LightRows(rows[:, :count], table, cells, rows[:, count:], maps)
+
+
+def _of_area_lights(scene: Scene, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which area lights may light which cells, bool (cells, lights); what they bring there,
+    `mean_irradiance`; and strips by power alone, float64 (1, lights)."""
+    shape = len(cells.number), len(scene.lights)
+    if not scene.lights:
+        return np.zeros(shape, bool), np.zeros(shape), np.zeros((1, 0))
+    lights = Lights.of(scene.lights)
+    may = may_light(cells, lights) & (lights.power > 0)
+    lit = may.any(axis=1)
+    found = np.zeros(shape)
+    found[lit] = mean_irradiance(cells.only(lit), lights)
+    return may, np.where(may, found, 0.0), strip_widths(lights.power)[None]
 
 
 def light_records(scene: Scene) -> np.ndarray:
     """What lights.cl reads of the lights, float32 (floats,), made once.
 
-    Their records; of two or more also the frame of the cells, rows of strips, and each cell's row.
+    Their records; where it `has_rows` also the frame of the cells, rows of strips, each cell's row, and
+    what environment.cl reads.
     """
     if scene not in _RECORDS:
         _RECORDS[scene] = _light_records(scene)
@@ -151,25 +182,37 @@ def light_records(scene: Scene) -> np.ndarray:
 
 def _light_records(scene: Scene) -> np.ndarray:
     count = len(scene.lights)
-    if not count:
-        return np.zeros(0, np.float32)
-    records = _records_of(Lights.of(scene.lights))
-    if count == 1:
+    records = _records_of(Lights.of(scene.lights)) if count else np.zeros(0, np.float32)
+    if not has_rows(scene):
         return records
     rows = light_rows(scene)
     steps = int(_steps(count))
     # Which light each step of the square belongs to.
     owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
+    owner = owner.reshape(-1, steps) if count else np.zeros((len(rows.widths), steps))
     strips = rows.strips.reshape(len(rows.widths), -1)
-    each = np.concatenate([owner.reshape(-1, steps), strips], axis=1)
+    sky, row_floats = rows.sky.copy(), _row_floats(scene)
+    table = len(records) + FRAME.size + row_floats * len(rows.widths)
+    block = table + len(rows.table)
+    if has_environment(scene):
+        sky[:, SKY_ROW["map"]] = block + maps_begin(scene) + rows.maps.shape[-1] * sky[:, SKY_ROW["map"]]
+    each = np.concatenate([owner, strips, sky], axis=1)
     frame = FRAME.pack(
         lower=rows.cells.lower,
         inverse=rows.cells.inverse,
         counts=rows.cells.counts,
-        table=len(records) + FRAME.size + each.size,
+        table=table,
+        sky=block,
     )
-    parts = (records, frame, each.ravel(), rows.table)
+    parts = [records, frame, each.ravel(), rows.table]
+    if has_environment(scene):
+        parts.append(sky_block(scene, rows.maps))
     return np.concatenate([part.astype(np.float32) for part in parts])
+
+
+def has_rows(scene: Scene) -> bool:
+    """Whether the square is dealt out differently over the scene."""
+    return len(scene.lights) > 1 or has_environment(scene)
 
 
 def light_defines(scene: Scene) -> dict[str, int]:
@@ -181,12 +224,20 @@ def light_defines(scene: Scene) -> dict[str, int]:
         **FRAME.defines(),
         **STRIP.defines(),
         "STRIP_STEPS": int(_steps(count)),
+        "HAS_ROWS": int(has_rows(scene)),
+        **environment_defines(scene),
     }
 
 
 def narrowest_strip(scene: Scene) -> float:
     """The narrowest part of the unit square that one light has to itself; 1 without lights."""
-    widths = light_rows(scene).widths if len(scene.lights) > 1 else np.ones((1, 1))
+    if not has_rows(scene):
+        return 1.0
+    rows = light_rows(scene)
+    widths = rows.widths
+    if has_environment(scene):
+        share, image, _, suns = np.split(rows.sky, [1, 2, 3], axis=1)
+        widths = np.concatenate([widths * (1 - share), image, suns], axis=1)
     return float(widths[widths > 0].min(initial=1.0))
 
 
@@ -206,8 +257,9 @@ def _steps(count: np.ndarray | int) -> np.ndarray:
     return 1 << np.frexp(needed - 1.0)[1].astype(np.int64)
 
 
-def _row_floats(count: int) -> int:
-    return int(_steps(count)) + STRIP.size * count
+def _row_floats(scene: Scene) -> int:
+    count = len(scene.lights)
+    return int(_steps(count)) + STRIP.size * count + environment_defines(scene)["SKY_NUMBERS"]
 
 
 def _records_of(lights: Lights) -> np.ndarray:

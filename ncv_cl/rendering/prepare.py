@@ -55,6 +55,12 @@ def prepare(
             f"{scene.name}: visibility 'lines' takes triangles for whole, but textures make holes in "
             "some; take 'auto'"
         )
+    by_lines = settings.sampling.visibility == "lines" and not integrand.promises("sliced")
+    if by_lines and scene.environment is not None:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for area lights, there is an environment or a "
+            "directional light; take 'auto'"
+        )
     if settings.sampling.visibility == "lines" and not (
         integrand.promises("sliced") or shafts_pay(scene)
     ):
@@ -103,7 +109,7 @@ def prepare(
         shadows_tested=settings.sampling.visibility != "embree",
     )
     narrowest = 1.0
-    if integrand.defines(scene).get("LIGHT_COUNT"):
+    if "LIGHT_COUNT" in integrand.defines(scene):
         narrowest = narrowest_strip(scene)
     return Problem(
         device,

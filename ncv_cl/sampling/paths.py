@@ -87,7 +87,7 @@ class PathSource(SampleSource):
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
-        surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
+        surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights", "environment")
         self._files = (
             *surface,
             "textures",

@@ -29,7 +29,8 @@ TOLERANCE = 24 * 2.0**-24
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= tuning.MOST_LIGHTS and not scene.has_holes
+    few = len(scene.lights) <= tuning.MOST_LIGHTS
+    return few and not scene.has_holes and scene.environment is None
 
 
 class Occluders:
