@@ -58,10 +58,6 @@ void concentric(const real u, const real v, real *radius, real *azimuth) {
   *azimuth = SELECT(0.25f - 0.125f * ratio, 0.125f * ratio, wide);
 }
 
-triple select_triple(const triple a, const triple b, const whole condition) {
-  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
-}
-
 #if HAS_SPECULAR
 /* q, the share of directions that the lobe gives. */
 real lobe_share(const Scatterer *s) {

@@ -64,9 +64,26 @@ void guess_places(global const float *restrict lights, const whole record, const
   const real x = clamp(dot_triple(met, gather_triple(lights, record + LIGHT_ACROSS)), (real)0.0f, width);
   const real y = dot_triple(met, gather_triple(lights, record + LIGHT_ALONG)) - x * gather(lights, record + LIGHT_SLOPE);
   const real a = x / width;
+#if HAS_SHAPES
+  const real shape = gather(lights, record + LIGHT_SHAPE);
+  real start;
+  const real part = line_part(shape, a, &start);
+  const real b = clamp(y / length, start, start + part);
+#else
   const real b = clamp(y, (real)0.0f, length) / length;
+#endif
   *nearest = (triple){FMA(a, edge1.x, FMA(b, edge2.x, begin.x)), FMA(a, edge1.y, FMA(b, edge2.y, begin.y)),
                       FMA(a, edge1.z, FMA(b, edge2.z, begin.z))};
+#if HAS_BALLS
+  /* Where the direction passes a ball, or the ball's point that is nearest to it. */
+  const real ahead = max(dot_triple(begin, direction), (real)0.0f);
+  const triple beside = {FMA(ahead, direction.x, -begin.x), FMA(ahead, direction.y, -begin.y),
+                         FMA(ahead, direction.z, -begin.z)};
+  const real aside = sqrt(dot_triple(beside, beside));
+  const real inward = min(length / max(aside, (real)1e-30f), (real)1.0f);
+  const triple on_ball = {FMA(inward, beside.x, begin.x), FMA(inward, beside.y, begin.y), FMA(inward, beside.z, begin.z)};
+  *nearest = select_triple(*nearest, on_ball, shape == (float)SHAPE_BALL);
+#endif
 }
 
 #if HAS_ENVIRONMENT
@@ -169,11 +186,27 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
     const triple normal = to_triple(vload3(0, record + LIGHT_NORMAL));
     const triple along = to_triple(vload3(0, record + LIGHT_ALONG));
     const triple across = to_triple(vload3(0, record + LIGHT_ACROSS));
-    const real t = dot_triple(begin, normal) / dot_triple(direction, normal);
+    real t = dot_triple(begin, normal) / dot_triple(direction, normal);
     const triple met = {FMA(t, direction.x, -begin.x), FMA(t, direction.y, -begin.y), FMA(t, direction.z, -begin.z)};
     const real x = dot_triple(met, across);
     const real y = dot_triple(met, along) - x * record[LIGHT_SLOPE];
+#if HAS_SHAPES
+    const float shape = record[LIGHT_SHAPE];
+    real start;
+    const real part = line_part((real)shape, clamp(x / record[LIGHT_WIDTH], (real)0.0f, (real)1.0f), &start);
+    const real high = record[LIGHT_LENGTH] * (start + part);
+    whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= record[LIGHT_LENGTH] * start) && (y <= high);
+#if HAS_BALLS
+    real entered;
+    const whole meets = meet_ball(begin, direction, record[LIGHT_LENGTH], &entered);
+    if (shape == (float)SHAPE_BALL) {
+      inside = meets;
+      t = entered;
+    }
+#endif
+#else
     const whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= 0.0f) && (y <= record[LIGHT_LENGTH]);
+#endif
     const whole here = (t > 0.0f) && (t < nearest) && inside;
     nearest = SELECT(nearest, t, here);
     found = SELECT(found, (whole)light, here);
@@ -185,7 +218,7 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + LIGHT_TWO_SIDED) > 0.0f);
   LightSample sample;
   sample.lit = (found >= 0) && (facing > 0.0f);
-  const real distance = SELECT((real)1.0f, nearest, sample.lit);
+  const real distance = SELECT((real)1.0f, nearest, found >= 0);
   const triple to = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real stands_for = light_stands_for(lights, record, position, to, max(facing, (real)1e-20f));
   sample.density = strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
@@ -198,6 +231,20 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   const real side = SELECT(-offset, offset, emitted > 0.0f);
   sample.segment = (triple){to.x + side * normal.x - (origin.x - position.x), to.y + side * normal.y - (origin.y - position.y),
                             to.z + side * normal.z - (origin.z - position.z)};
+#if HAS_BALLS
+  const whole ball = gather(lights, record + LIGHT_SHAPE) == (float)SHAPE_BALL;
+  const triple corner = gather_triple(lights, record + LIGHT_CORNER);
+  const triple centre = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
+  real entered;
+  const whole meets = meet_ball(centre, direction, gather(lights, record + LIGHT_WIDTH), &entered);
+  const real reach = max(entered - ball_offset(lights, record, position), 0.5f * entered);
+  const triple end = {FMA(reach, direction.x, position.x - origin.x), FMA(reach, direction.y, position.y - origin.y),
+                      FMA(reach, direction.z, position.z - origin.z)};
+  sample.segment = select_triple(sample.segment, end, ball);
+  sample.lit = SELECT(sample.lit, (found >= 0) && meets, ball);
+  const real sent = SELECT((real)1.0f, beam_share(lights, record, direction), ball);
+  for (int channel = 0; channel < CHANNELS; ++channel) sample.radiance[channel] *= sent;
+#endif
   return sample;
 }
 

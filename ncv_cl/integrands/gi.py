@@ -8,7 +8,8 @@ from ..scene.load import Scene
 from .base import Integrand, IntegrandError
 from .direct import DirectPart, scattering_defines
 from .environment import environment_seen, has_environment
-from .lights import emitted_by_lights, light_defines, light_records
+from .light_sources import emissions, hidden_materials, light_sources
+from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
 
 class GlobalIllumination(Integrand):
@@ -33,7 +34,7 @@ class GlobalIllumination(Integrand):
     """
 
     name = "gi"
-    files = ("bsdf", "bounce", "lights", "environment", "gi")
+    files = ("bsdf", "bounce", *LIGHT_FILES, "environment", "gi")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = False
@@ -62,8 +63,9 @@ class GlobalIllumination(Integrand):
         return self.direct
 
     def apart(self, scene: Scene) -> tuple[Integrand, Integrand] | None:
-        only_direct = self.max_depth == 2 and not emissions(scene).any()
-        if not self.direct or not (scene.lights or has_environment(scene)) or only_direct:
+        only_direct = self.max_depth == 2 and not hidden_materials(scene).any()
+        lit = len(light_sources(scene).lights.strip) or has_environment(scene)
+        if not self.direct or not lit or only_direct:
             return None
         rest = GlobalIllumination(self.max_depth, direct=False, clamp=self.clamp, guided=self.guided)
         return DirectPart(), rest
@@ -99,8 +101,3 @@ class GlobalIllumination(Integrand):
 
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         return emissions(scene)[material]
-
-
-def emissions(scene: Scene) -> np.ndarray:
-    """What each material emits, float32 (materials, 3)."""
-    return np.array([material.emission for material in scene.materials], np.float32).reshape(-1, 3)
