@@ -22,6 +22,7 @@ from .rendering.render import render
 from .scene.build import build_scene
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .scene.sky.environment import Environment, Sun
 from .scene.table import SceneError
 from .scene.textures.texture import Texture
 from .scene.unwrap import unwrap
@@ -41,6 +42,7 @@ __all__ = [
     "Device",
     "DeviceError",
     "DirectLight",
+    "Environment",
     "Files",
     "GlobalIllumination",
     "Image",
@@ -60,6 +62,7 @@ __all__ = [
     "SceneError",
     "Stopping",
     "Subdivision",
+    "Sun",
     "Texture",
     "Training",
     "TriangleMesh",

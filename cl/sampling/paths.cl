@@ -48,8 +48,10 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.direction = sample_scattering(&s, LOAD(u + at), LOAD(v + at));
   const real density = scattering_density(&s, ray.direction);
   ray.throughput = bounce_throughput(&s, to_triple(p.geometric_normal), ray.direction, density);
-  /* Matte surfaces have found the lights by their points alone. */
-#if DIRECT
+  /* Matte surfaces have found the lights by their points alone, but for scenes with an environment (gi.cl). */
+#if DIRECT && HAS_ENVIRONMENT
+  ray.density = density;
+#elif DIRECT
   ray.density = SELECT((real)0.0f, density, is_shiny(&s));
 #else
   ray.density = (real)0.0f;
@@ -57,8 +59,8 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.path = LANE_NUMBER + (uint)at;
   ray.strips = strips_at(lights, &p);
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-  /* Without emissive surfaces a path of depth 2 can only bring light if its ray may find a light. */
-  const uint last_of_use = HAS_EMISSION ? 1u : 2u;
+  /* Without surfaces whose emission paths alone find, one of depth 2 can only bring light if its ray may find a light. */
+  const uint last_of_use = HAS_HIDDEN_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, 0, plane, wave);
 }
@@ -118,7 +120,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
     /* Lanes past the last ray hold anything. */
     const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
 #else
@@ -127,13 +129,37 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
+#if HAS_ENVIRONMENT
+  /* So does leaving the scene. */
+  const whole outside = here && !met;
+  if (ANY(outside)) {
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), outside);
+    const triple found = sky_met(lights, left, direction, LOAD(PLANE(wave, WAVE_DENSITY) + first));
+    brought = sum_where(brought, product(ray.throughput, found), outside);
+  }
+#endif
   const whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
   load_hit(triangles, textures, texels, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position,
            &geometric_normal, &s);
 #if HAS_EMISSION
-  const triple emitted = emission_at(triangles, textures, texels, at, hit.u, hit.v);
+  triple emitted = emission_at(triangles, textures, texels, at, hit.u, hit.v);
+#if HAS_SAMPLED_EMISSION
+  /* A surface that is sampled as a light, too: -2 less its number. */
+  const whole sampled = on_surface && (light < -1);
+  if (ANY(sampled)) {
+    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
+#if HAS_ROWS
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), sampled);
+#else
+    const whole left = all_strips(lights);
+#endif
+    const whole record = LIGHT_FLOATS * max(-2 - light, (whole)0);
+    const real weight = light_weight(lights, left, record, origin, direction, hit.distance, density);
+    emitted = scaled(emitted, SELECT((real)1.0f, weight, sampled));
+  }
+#endif
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
@@ -142,9 +168,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     return;
   }
   whole both_ways = on_surface;
-  /* A last ray can only find an area light, and is traced only if the surface has a lobe: other surfaces
+  /* A last ray can only find a light that is sampled, and is traced only if the surface has a lobe: other surfaces
    * find these lights by their points alone. */
-  const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
+  const uint reach = HAS_HIDDEN_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
   /* As surface_offset. */
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
@@ -167,7 +193,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
-      sample_lights(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
+      sample_emitters(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);

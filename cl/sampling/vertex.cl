@@ -5,7 +5,7 @@
  * emission, with HAS_NORMALS the corners' normals, with HAS_TEXTURES and HAS_COLOURS what is interpolated for
  * textures.cl and between the corners' colours. Both sides are alike.
  *
- * Joined after lights.cl, textures.cl, guide.cl and wave.cl.
+ * Joined after environment.cl, textures.cl, guide.cl and wave.cl.
  *
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
@@ -83,17 +83,37 @@ triple sum_where(const triple a, const triple b, const whole here) {
   return (triple){SELECT(a.x, a.x + b.x, here), SELECT(a.y, a.y + b.y, here), SELECT(a.z, a.z + b.z, here)};
 }
 
-/* What a ray that hits a light finds there, weighted by how else that could have been found: 0 from behind, and where
- * the ray's `density` is. */
-triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
-                 const triple direction, const real distance, const real density) {
-  const whole record = max(light, (whole)0) * LIGHT_FLOATS;
+/* How much counts what a ray finds on the light of a record, by how else that could have been found: nothing from behind,
+ * and where the ray's `density` is 0. */
+real light_weight(global const float *restrict lights, const whole strips, const whole record, const triple origin,
+                  const triple direction, const real distance, const real density) {
   const real emitted = -dot_triple(light_triple(lights, record, LIGHT_NORMAL), direction);
   const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
   const triple segment = {distance * direction.x, distance * direction.y, distance * direction.z};
-  const real other = light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
+  const real other = lights_share(lights, strips) *
+                     light_density(lights, strips, record, origin, segment, max(facing, (real)1e-20f));
   const real share = density / (density + other);
-  const real weight = SELECT((real)0.0f, share, (facing > 0.0f) && (density > 0.0f));
+#if HAS_BALLS
+  const triple centre = light_triple(lights, record, LIGHT_CORNER);
+  const triple begin = {centre.x - origin.x, centre.y - origin.y, centre.z - origin.z};
+  const real radius = light_number(lights, record, LIGHT_LENGTH);
+  const whole ball = light_number(lights, record, LIGHT_SHAPE) == (float)SHAPE_BALL;
+  const whole shines = SELECT(facing > 0.0f, dot_triple(begin, begin) > radius * radius, ball);
+#else
+  const whole shines = facing > 0.0f;
+#endif
+  return SELECT((real)0.0f, share, shines && (density > 0.0f));
+}
+
+/* What a ray that hits a light finds there, so weighted. */
+triple light_met(global const float *restrict lights, const whole strips, const whole light, const triple origin,
+                 const triple direction, const real distance, const real density) {
+  const whole record = max(light, (whole)0) * LIGHT_FLOATS;
+  real weight = light_weight(lights, strips, record, origin, direction, distance, density);
+#if HAS_BALLS
+  weight *= SELECT((real)1.0f, beam_share(lights, record, direction),
+                   light_number(lights, record, LIGHT_SHAPE) == (float)SHAPE_BALL);
+#endif
   const triple amount = light_triple(lights, record, LIGHT_RADIANCE);
   return (triple){weight * amount.x, weight * amount.y, weight * amount.z};
 }

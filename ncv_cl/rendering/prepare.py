@@ -8,6 +8,7 @@ from ..estimation.direct import direct_samples
 from ..host.clock import Stopwatch
 from ..integrands import Integrand
 from ..integrands.emitted import emitted_light
+from ..integrands.light_sources import light_sources
 from ..integrands.lights import narrowest_strip
 from ..opencl.device import Device
 from ..points.arrays import PointArrays, place_points
@@ -55,12 +56,18 @@ def prepare(
             f"{scene.name}: visibility 'lines' takes triangles for whole, but textures make holes in "
             "some; take 'auto'"
         )
+    by_lines = settings.sampling.visibility == "lines" and not integrand.promises("sliced")
+    if by_lines and scene.environment is not None:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' is for area lights, there is an environment or a "
+            "directional light; take 'auto'"
+        )
     if settings.sampling.visibility == "lines" and not (
         integrand.promises("sliced") or shafts_pay(scene)
     ):
         raise ValueError(
-            f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} lights, there are "
-            f"{len(scene.lights)}; take 'auto'"
+            f"{scene.name}: visibility 'lines' is for at most {MOST_LIGHTS} parallelograms, triangles "
+            f"and discs that shine, there are {_lights(scene)}; take 'auto'"
         )
     is_near = _is_near(scene, given)
     if settings.sampling.visibility == "lines" and not is_near:
@@ -103,7 +110,7 @@ def prepare(
         shadows_tested=settings.sampling.visibility != "embree",
     )
     narrowest = 1.0
-    if integrand.defines(scene).get("LIGHT_COUNT"):
+    if "LIGHT_COUNT" in integrand.defines(scene):
         narrowest = narrowest_strip(scene)
     return Problem(
         device,
@@ -117,6 +124,11 @@ def prepare(
         apart=apart,
         slices=choice,
     )
+
+
+def _lights(scene: Scene) -> str:
+    lights = light_sources(scene).lights
+    return f"{len(lights.strip)} lights" + (", some of them balls" if lights.has_balls else "")
 
 
 def _points(

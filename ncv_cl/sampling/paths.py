@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..integrands import GlobalIllumination, Integrand
+from ..integrands.lights import LIGHT_FILES
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..opencl.program import build
@@ -87,7 +88,7 @@ class PathSource(SampleSource):
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
-        surface = ("common", "sampler", "surface", "bsdf", "bounce", "lights")
+        surface = ("common", "sampler", "surface", "bsdf", "bounce", *LIGHT_FILES, "environment")
         self._files = (
             *surface,
             "textures",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..integrands.light_sources import hidden_materials, light_sources, sampled_materials
 from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET, triangle_spreads
 from ..points.textures import NO_TEXTURE, texture_index
@@ -18,7 +19,8 @@ def triangle_record(
     """What is kept of a triangle, with what only some scenes have.
 
     `distance` is that of its plane from the scene's origin, `offset` that of ray origins by its spread
-    (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1.
+    (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1, or
+    -2 less the light's number where the surface reflects as well.
     `texture` and other textures are indices of textures.cl or -1, `metallic` and `normal_scale` are as
     in `Maps`, `tangent` and `side` as `normals.tangents` finds them.
     """
@@ -67,7 +69,7 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "normal": normals,
         "distance": np.sum(normals * corners[:, 0], axis=1),
         "offset": offsets,
-        "light": scene.triangle_light,
+        "light": _lights_of(scene),
         **{name: values[scene.triangle_material] for name, values in of_material.items()},
         **_of_corners("normal", scene.vertex_normals, scene),
         **_of_corners("uv", scene.vertex_uv, scene),
@@ -78,12 +80,20 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
     packed = record.pack(**{name: values[name] for name in record})
     defines = {
         "HAS_EMISSION": int(has["emission"]),
+        "HAS_SAMPLED_EMISSION": int(sampled_materials(scene).any()),
+        "HAS_HIDDEN_EMISSION": int(hidden_materials(scene).any()),
         "HAS_NORMALS": int(has["smooth"]),
         "HAS_TEXTURES": int(has["textured"]),
         "HAS_COLOURS": int(has["coloured"]),
         "HAS_NORMAL_MAPS": int(has["bent"]),
     }
     return packed, {**defines, **record.defines()}
+
+
+def _lights_of(scene: Scene) -> np.ndarray:
+    """The records' `light`, int32 (triangles,)."""
+    number = light_sources(scene).of_triangle
+    return np.where((scene.triangle_light < 0) & (number >= 0), -2 - number, number)
 
 
 def _of_materials(scene: Scene) -> dict[str, np.ndarray]:

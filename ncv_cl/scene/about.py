@@ -59,6 +59,7 @@ def describe(path: str | Path) -> str:
     ]
     lines += _materials(scene, surfaces)
     lines += _lights(scene) if is_scene else ["lights    none: mesh files' lights are not read"]
+    lines += _environment(scene)
     if is_scene:
         camera = scene.camera
         place, target = camera.position + scene.origin, camera.target + scene.origin
@@ -191,6 +192,21 @@ def _light(light: QuadLight, origin: NDArray[np.float64]) -> str:
     corner = light.corner + origin
     sides = "both sides" if light.two_sided else f"towards {_row(light.normal)}"
     return f"area {light.area:.3g} at {_row(corner)}, radiance {_row(light.radiance)}, {sides}"
+
+
+def _environment(scene: Scene) -> list[str]:
+    """Nothing where there is none."""
+    if scene.environment is None:
+        return []
+    texels, suns = scene.environment.texels, scene.environment.suns
+    height, width = texels.shape[:2]
+    what = f"an image of {width} × {height}, " if texels.size > 3 else ""
+    mean = texels.astype(np.float64).mean(axis=(0, 1)).astype(np.float32)
+    lines = [f"outside   {what}radiance {_row(mean)}{' on average' if what else ''}"]
+    for sun in suns:
+        size = f"{sun.angular_diameter:.4g}° wide"
+        lines.append(f"  sun {size} towards {_row(sun.towards)}, irradiance {_row(sun.irradiance)}")
+    return lines
 
 
 def _short(warning: str, path: str | Path) -> str:

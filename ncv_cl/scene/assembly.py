@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from . import geometry, place
 from .geometry import SMALLEST_ROUGHNESS, Mesh
 from .model import Camera, Material, QuadLight, Scene
+from .sky.environment import Environment
+from .sky.read import read_environment, split_lights, with_suns
 from .table import Table
 from .textures.image_file import ImageFiles
 from .textures.keys import read_maps
@@ -55,6 +57,7 @@ class Assembly:
         self._material_index = {material.name: i for i, material in enumerate(materials)}
         self._parts: list[_Part] = []
         self._lights: list[QuadLight] = []
+        self.environment: Environment | None = None
         # Degenerate and all triangles of what a table's key describes.
         self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
         self.warnings: list[str] = []
@@ -201,6 +204,7 @@ class Assembly:
             named=tuple(named),
             vertex_uv=_joined([mesh.uv for mesh in meshes], meshes, (0.0, 0.0)),
             vertex_colours=_joined([mesh.colours for mesh in meshes], meshes, (1.0, 1.0, 1.0)),
+            environment=self.environment,
         )
         for array in vars(scene).values():
             if isinstance(array, np.ndarray):
@@ -265,9 +269,17 @@ def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     return materials
 
 
+def add_environment(root: Table, folder: Path, assembly: Assembly) -> None:
+    """Check the table ``environment``, and take it; files are relative to `folder`."""
+    assembly.environment, warnings = read_environment(root, folder)
+    assembly.warnings += warnings
+
+
 def add_lights(root: Table, assembly: Assembly) -> None:
     """Check the tables of ``lights`` and append them, in their order."""
-    tables = root.tables("lights", ("corner", "edge1", "edge2", "radiance", "two_sided"))
+    keys = ("kind", "corner", "edge1", "edge2", "radiance", "two_sided")
+    tables, suns = split_lights(root, keys)
+    assembly.environment = with_suns(root.source, assembly.environment, suns)
     black = np.zeros(3, dtype=np.float32)
     material = assembly.new_material(Material(black, name="light")) if tables else -1
     for table in tables:

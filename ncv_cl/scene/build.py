@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from .assembly import Assembly, add_lights, read_camera, read_materials
 from .geometry import Mesh, normalised
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
+from .sky.environment import Environment
+from .sky.read import checked
 from .table import SceneError, Table
 from .textures.image_file import ImageFiles
 
@@ -28,6 +30,7 @@ def build_scene(
     meshes: Sequence[TriangleMesh],
     lights: Sequence[QuadLight] = (),
     name: str = "scene",
+    environment: Environment | None = None,
 ) -> Scene:
     """Build a scene from arrays, without a file.
 
@@ -43,6 +46,8 @@ def build_scene(
     lights : list of QuadLight
     name : str
         For messages and metadata.
+    environment : Environment, optional
+        What surrounds the scene, with its suns.
 
     Returns
     -------
@@ -77,6 +82,9 @@ def build_scene(
         dtype = np.asarray(table.raw("vertices")).dtype
         is_single = dtype.kind == "f" and dtype.itemsize <= np.dtype(np.float32).itemsize
         assembly.add(table, "vertices", mesh, material, _COARSE if is_single else "")
+    if environment is not None:
+        assembly.environment, sentences = checked(_SOURCE, environment)
+        assembly.warnings += sentences
     add_lights(root, assembly)
     if assembly.is_empty:
         raise SceneError(f"{_SOURCE}: the scene is empty: give meshes")

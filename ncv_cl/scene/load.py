@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
 from . import geometry, meshes
-from .assembly import Assembly, add_lights, read_camera, read_materials
+from .assembly import Assembly, add_environment, add_lights, read_camera, read_materials
 from .geometry import Mesh
 from .model import Camera, Material, QuadLight, Scene
 from .table import SceneError, Table
@@ -35,6 +35,7 @@ _SCENE_KEYS = (
     "spheres",
     "meshes",
     "lights",
+    "environment",
 )
 # What to do about a mesh file whose coordinates are coarse.
 _COARSE = "export it about its own origin and move it by translate"
@@ -82,6 +83,7 @@ def scene_from(tables: dict[str, object], path: Path) -> Scene:
     assembly = Assembly(path, read_camera(root), read_materials(root, images))
     _add_primitives(root, assembly)
     _add_mesh_files(root, path.parent, images, assembly)
+    add_environment(root, path.parent, assembly)
     add_lights(root, assembly)
     if assembly.is_empty:
         raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")

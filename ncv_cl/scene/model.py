@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .sky.environment import Environment
 from .table import SceneError
 from .textures.texture import Maps, Texture
 
@@ -187,6 +188,8 @@ class Scene:
         Texture coordinates; None where no material has a texture.
     vertex_colours : float32 (n_vertices, 3), optional
         Linear RGB that multiplies the albedo; None where no mesh has colours.
+    environment : Environment, optional
+        What surrounds the scene, and its suns; None where that is black.
     """
 
     name: str
@@ -204,6 +207,7 @@ class Scene:
     named: tuple[tuple[str, range], ...] = ()
     vertex_uv: NDArray[np.float32] | None = None
     vertex_colours: NDArray[np.float32] | None = None
+    environment: Environment | None = None
 
     @cached_property
     def has_holes(self) -> bool:
@@ -238,7 +242,8 @@ class Scene:
     def digest(self) -> str:
         """SHA-256, in hex, of everything that affects the image; names and paths do not."""
         digest = hashlib.sha256()
-        for part in (self.camera, *self.materials, *self.lights, self):
+        around = () if self.environment is None else (self.environment, *self.environment.suns)
+        for part in (self.camera, *self.materials, *self.lights, self, *around):
             _add_to(digest, part)
         return digest.hexdigest()
 

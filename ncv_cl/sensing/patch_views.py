@@ -113,6 +113,7 @@ def _lit_by(scene: Scene, patch: Patch) -> Scene:
         triangle_light=light,
         vertex_uv=None,
         vertex_colours=None,
+        environment=None,
         named=(),
     )
 

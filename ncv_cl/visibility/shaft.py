@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands import Integrand
+from ..integrands.light_sources import light_sources
+from ..integrands.lights import LIGHT_FILES
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..opencl.program import build
@@ -29,7 +31,9 @@ TOLERANCE = 24 * 2.0**-24
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= tuning.MOST_LIGHTS and not scene.has_holes
+    lights = light_sources(scene).lights
+    few = len(lights.strip) <= tuning.MOST_LIGHTS
+    return few and not lights.has_balls and not scene.has_holes and scene.environment is None
 
 
 class Occluders:
@@ -83,7 +87,8 @@ class Occluders:
             "tolerance": TOLERANCE * float(np.abs(scene.bounds).max()),
         }
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
-        find = build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")
+        files = ("common", "surface", *LIGHT_FILES, "shaft")
+        find = build(device, files, defines).kernel("find_occluders")
         lights = HostArray.of(device, integrand.data(scene))
         # The same numbers as at the lists' heads: the host wants these without the lists.
         lengths = HostArray(device, points.active, np.uint32)
