@@ -170,10 +170,6 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   return sample;
 }
 
-triple select_triple(const triple a, const triple b, const whole condition) {
-  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
-}
-
 /* The lights' u of a sample past the lobe's share of the square. */
 real past_lobe(const float share, const real u) {
   return min((u - share) / max(1.0f - share, 1e-30f), (real)0.99999994f);

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..points.points import ShadingPoints
+from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import QuadLight, Scene
 from . import tuning
 from .base import Integrand, IntegrandError
@@ -94,7 +95,12 @@ class DirectPart(DirectLight):
 
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
-    return {"HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials))}
+    return {
+        "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),
+        "HAS_GLASS": int(scene.has_glass),
+        # What is smooth is not rough by a rounding.
+        "SMOOTH_GLASS": f"{SMALLEST_ROUGHNESS * (1 + 1e-6)!r}f",
+    }
 
 
 def _corners(light: QuadLight) -> np.ndarray:

@@ -32,7 +32,7 @@ class GlobalIllumination(Integrand):
     """
 
     name = "gi"
-    files = ("bsdf", "bounce", "lights", "gi")
+    files = ("bsdf", "bounce", "dielectric", "lights", "gi")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = False

@@ -29,7 +29,7 @@ TOLERANCE = 24 * 2.0**-24
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= tuning.MOST_LIGHTS and not scene.has_holes
+    return len(scene.lights) <= tuning.MOST_LIGHTS and not scene.has_gaps
 
 
 class Occluders:
