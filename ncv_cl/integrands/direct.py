@@ -72,6 +72,16 @@ class DirectLight(Integrand):
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
 
+    def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
+        seen = np.unique(material)
+        names = [scene.materials[one].name for one in seen if scene.materials[one].is_glass]
+        if not names:
+            return None
+        return (
+            f"{scene.name}: direct light shows of glass only the lights that it reflects, it is black "
+            f"otherwise ({', '.join(names)}); what is seen through it needs integrand gi"
+        )
+
     def _check_lights(self, scene: Scene) -> None:
         if not scene.lights:
             raise IntegrandError(

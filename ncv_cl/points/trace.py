@@ -209,7 +209,7 @@ class Tracer:
         out: np.ndarray,
         light: np.ndarray | None,
     ) -> None:
-        """Ask again about rays that are blocked: by holes alone, or panes with `light`, they are visible."""
+        """Ask again about rays that are blocked: by holes, or with `light` panes, they are visible."""
         blocked = np.flatnonzero(out == 0)
         starts, towards, farthest = origins[blocked], directions[blocked], distances[blocked]
         # embree writes hits' distances where it was given the farthest ones.

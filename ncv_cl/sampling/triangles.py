@@ -25,8 +25,8 @@ def triangle_record(
 
     `distance` is that of its plane from the scene's origin, `offset` that of ray origins by its spread
     (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1.
-    `ior` is `Material.signed_ior`. `texture` and other textures are indices of textures.cl or -1, `metallic` and `normal_scale` are as
-    in `Maps`, `tangent` and `side` as `normals.tangents` finds them.
+    `texture` and other textures are indices of textures.cl or -1, `metallic` and `normal_scale` are as
+    in `Maps`, `tangent` and `side` as `normals.tangents` finds them, `ior` is `Material.signed_ior`.
     """
     fields = {"normal": 3, "distance": 1, "offset": 1, "light": 1, "albedo": 3}
     if specular:

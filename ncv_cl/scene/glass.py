@@ -42,16 +42,16 @@ def check_glass(table: Table, material: Material) -> None:
     """
     if not material.is_glass:
         return
-    for key in ("albedo", "reflectance"):
-        if getattr(material, key).any():
-            raise table.error(
-                key, "glass has none: transmission tints what it lets through, ior says what it reflects"
-            )
     maps = material.maps
     for key, texture in (("albedo", maps and maps.colour), ("emission", maps and maps.emission)):
         if texture is not None:
             raise table.error(
                 key, "glass takes no image for it; roughness, normal and opacity may have one"
+            )
+    for key in ("albedo", "reflectance"):
+        if getattr(material, key).any():
+            raise table.error(
+                key, "glass has none: transmission tints what it lets through, ior says what it reflects"
             )
     if material.thin and (material.roughness > SMALLEST_ROUGHNESS or (maps and maps.surface)):
         raise table.error("roughness", "a thin pane is smooth: leave it out, or take thin away")

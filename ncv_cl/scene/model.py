@@ -64,11 +64,11 @@ class Material:
     maps : Maps, optional
         What varies over the surface: `albedo` and `roughness` are then factors.
     transmission : float32 (3,)
-        More than 0 makes the surface glass, a dielectric interface: what it lets through is multiplied by
-        this, what it reflects is not. Albedo and reflectance must be 0. The normal by the order of
+        More than 0 makes the surface glass, a dielectric interface: what it lets through is multiplied
+        by this, what it reflects is not. Albedo and reflectance must be 0. The normal by the order of
         the corners points out of the glass.
     ior : float, optional
-        Index of refraction of what is behind the surface over that of what is before it; 1.5 by default.
+        Index of refraction behind the surface over that before it; 1.5 by default.
     thin : bool
         Whether the surface is a pane with air on both sides, which does not bend light; it is smooth.
     """
@@ -118,7 +118,7 @@ class Material:
 
     @property
     def signed_ior(self) -> float:
-        """What kernels know glass by: its index of refraction, negative of panes; 0 of other surfaces."""
+        """What kernels know glass by: its index of refraction, negative of panes; 0 of others."""
         if not self.is_glass:
             return 0.0
         return -self.ior if self.thin else self.ior
