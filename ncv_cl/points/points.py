@@ -26,13 +26,15 @@ SURFACE = Record(
         "albedo": 3,
         "reflectance": 3,
         "roughness": 1,
+        "eta": 1,
         "lobe_share": 1,
         "detached": 1,
     },
 )
 # Of a camera, right and up reach to the sides of the picture at distance 1.
 CAMERA = Record("CAMERA", {"position": 3, "forward": 3, "right": 3, "up": 3})
-MATERIAL = Record("MATERIAL", {"albedo": 3, "reflectance": 3, "roughness": 1})
+# `ior` is 0 of what is no glass, negative of thin panes.
+MATERIAL = Record("MATERIAL", {"albedo": 3, "reflectance": 3, "roughness": 1, "ior": 1})
 # What an integrand may depend on, and a network's inputs be, in feature order: some of these.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
@@ -142,7 +144,9 @@ def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
 def material_records(scene: Scene) -> np.ndarray:
     """What points.cl reads of the materials, float32 (materials, MATERIAL.size)."""
     records = [
-        MATERIAL.pack(albedo=one.albedo, reflectance=one.reflectance, roughness=one.roughness)
+        MATERIAL.pack(
+            albedo=one.tint, reflectance=one.facing, roughness=one.roughness, ior=one.signed_ior
+        )
         for one in scene.materials
     ]
     return np.array(records, np.float32).reshape(-1, MATERIAL.size)

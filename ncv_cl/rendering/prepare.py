@@ -62,6 +62,12 @@ def prepare(
             f"{scene.name}: visibility 'lines' is for area lights, there is an environment or a "
             "directional light; take 'auto'"
         )
+    by_lights = integrand.promises("to_lights") or integrand.splits
+    if settings.sampling.visibility == "lines" and scene.has_panes and by_lights:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' takes triangles for opaque, but there are thin panes; "
+            "take 'auto'"
+        )
     if settings.sampling.visibility == "lines" and not (
         integrand.promises("sliced") or shafts_pay(scene)
     ):

@@ -125,17 +125,21 @@ def render(
     if keep.not_written:
         image.stats["not_written"] = keep.not_written
     about_values(image, reference)
-    _remark(settings, problem, image)
+    _remark(scene, settings, problem, image)
     return image
 
 
-def _remark(settings: Settings, problem: Problem, image: Image) -> None:
-    """Warn of a picture that is seldom meant as it came out."""
+def _remark(scene: Scene, settings: Settings, problem: Problem, image: Image) -> None:
+    """Warn of a picture that is seldom meant as it came out, or that leaves out what is seen."""
     width, height = settings.size
     seen = problem.points.total / (width * height * settings.sampling.supersample**2)
     remark = settings.integrand.remark(float(image.pixels.mean()) / seen) if seen else None
-    if remark is not None:
-        warnings.warn(remark, stacklevel=3)
+    unseen = None
+    if problem.points.material is not None:
+        unseen = settings.integrand.unseen(scene, problem.points.material)
+    for said in (remark, unseen):
+        if said is not None:
+            warnings.warn(said, stacklevel=3)
 
 
 def integrand_of(integrand: str | Integrand) -> Integrand:

@@ -164,6 +164,10 @@ def _materials(scene: Scene, surfaces: NDArray[np.bool_]) -> list[str]:
 
 def _material(material: Material) -> str:
     parts = [f"albedo {_row(material.albedo)}"]
+    if material.is_glass:
+        kind = "thin glass" if material.thin else "glass"
+        parts = [f"{kind}, transmission {_row(material.transmission)}, ior {material.ior:.4g}"]
+        parts += [f"roughness {material.roughness:.3g}"] if not material.thin else []
     if material.reflectance.any():
         parts.append(f"reflectance {_row(material.reflectance)}, roughness {material.roughness:.3g}")
     if material.emission.any():

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from . import geometry, place
 from .geometry import SMALLEST_ROUGHNESS, Mesh
+from .glass import GLASS_KEYS, check_glass, read_glass
 from .model import Camera, Material, QuadLight, Scene
 from .sky.environment import Environment
 from .sky.read import read_environment, split_lights, with_suns
@@ -260,12 +261,16 @@ def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     for name, data in names.items():
         where = f"materials.{name}"
         keys = ("albedo", "reflectance", "roughness", "emission", "opacity", "normal", "maps")
-        maps, table = read_maps(Table(root.source, where, data, keys), images)
-        albedo = table.colour("albedo", high=1.0)
+        maps, table = read_maps(Table(root.source, where, data, (*keys, *GLASS_KEYS)), images)
+        glass = read_glass(table)
+        albedo = table.colour("albedo", default=0.0 if glass else None, high=1.0)
         reflectance = table.colour("reflectance", default=0.0, high=1.0)
-        roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
+        usual = SMALLEST_ROUGHNESS if glass else 1.0
+        roughness = table.number("roughness", usual, SMALLEST_ROUGHNESS, 1.0)
         emission = table.colour("emission", default=0.0)
-        materials.append(Material(albedo, reflectance, roughness, emission, maps, name=name))
+        material = Material(albedo, reflectance, roughness, emission, maps, name=name, **glass)
+        check_glass(table, material)
+        materials.append(material)
     return materials
 
 

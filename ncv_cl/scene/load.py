@@ -228,4 +228,7 @@ def _material_of_file(
         roughness=found.roughness,
         emission=np.array(found.emission, dtype=np.float32),
         maps=found.maps,
+        transmission=np.array(found.transmission, dtype=np.float32),
+        ior=found.ior,
+        thin=found.thin,
     )

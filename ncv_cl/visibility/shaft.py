@@ -33,7 +33,7 @@ def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
     lights = light_sources(scene).lights
     few = len(lights.strip) <= tuning.MOST_LIGHTS
-    return few and not lights.has_balls and not scene.has_holes and scene.environment is None
+    return few and not lights.has_balls and not scene.has_gaps and scene.environment is None
 
 
 class Occluders:

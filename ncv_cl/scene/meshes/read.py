@@ -177,7 +177,8 @@ def _fill_in_normals(meshes: list[Mesh]) -> None:
 
 def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
     """A material within the renderer's limits; notes what had to be changed."""
-    colours = {name: getattr(material, name) for name in ("albedo", "reflectance")}
+    names = ("albedo", "reflectance", "transmission")
+    colours = {name: getattr(material, name) for name in names}
     clamped = {name: _clamped(colour, 1.0) for name, colour in colours.items()}
     emission = _clamped(material.emission, np.inf)
     if clamped != colours or emission != material.emission:
