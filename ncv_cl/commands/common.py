@@ -6,6 +6,8 @@ import argparse
 import json
 
 from ..host.files import write_whole
+from ..scene.load import load_scene
+from ..scene.model import Scene
 from ..settings.settings import METHODS
 
 
@@ -19,6 +21,30 @@ class Help(argparse.HelpFormatter):
             "x".join(map(str, action.default)) if isinstance(action.default, tuple) else "%(default)s"
         )
         return f"{action.help} (default: {default})"
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The scene file, as the first argument, and how it is read."""
+    add = parser.add_argument
+    add("scene", help="scene file: .toml, .gltf, .glb, .obj, .ply, .stl or Mitsuba's .xml")
+    add_reading(parser)
+
+
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """How a scene file is read."""
+    add = parser.add_argument_group("scene file").add_argument
+    add("--camera", metavar="NAME", help="one of the file's cameras (default: the first)")
+    add("--allow-outside", action="store_true", help="read files outside of the scene file's folder")
+
+
+def read_options(options: argparse.Namespace) -> dict[str, object]:
+    """Keywords of `load_scene`."""
+    return {"camera": options.camera, "allow_outside": options.allow_outside}
+
+
+def load(options: argparse.Namespace) -> Scene:
+    """The scene that is asked for."""
+    return load_scene(options.scene, **read_options(options))
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:

@@ -85,6 +85,7 @@ class DirectLight(Integrand):
 
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         return emissions(scene)[material]
+
     def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
         seen = np.unique(material)
         names = [scene.materials[one].name for one in seen if scene.materials[one].is_glass]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..host.reach import Reach
 from . import geometry, place
 from .geometry import SMALLEST_ROUGHNESS, Mesh
 from .glass import GLASS_KEYS, check_glass, read_glass
@@ -274,9 +275,9 @@ def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     return materials
 
 
-def add_environment(root: Table, folder: Path, assembly: Assembly) -> None:
+def add_environment(root: Table, folder: Path, reach: Reach, assembly: Assembly) -> None:
     """Check the table ``environment``, and take it; files are relative to `folder`."""
-    assembly.environment, warnings = read_environment(root, folder)
+    assembly.environment, warnings = read_environment(root, folder, reach)
     assembly.warnings += warnings
 
 

@@ -78,7 +78,7 @@ def build_scene(
     root = Table(_SOURCE, "", data, _KEYS)
     assembly = Assembly(_SOURCE, read_camera(root), read_materials(root, ImageFiles()))
     for table in root.tables("meshes", [field.name for field in fields(TriangleMesh)]):
-        mesh, material = _mesh(table), assembly.named_material(table)
+        mesh, material = mesh_of_arrays(table), assembly.named_material(table)
         dtype = np.asarray(table.raw("vertices")).dtype
         is_single = dtype.kind == "f" and dtype.itemsize <= np.dtype(np.float32).itemsize
         assembly.add(table, "vertices", mesh, material, _COARSE if is_single else "")
@@ -117,7 +117,8 @@ def _short(value: object) -> str:
     return f"an array {value.shape}" if isinstance(value, np.ndarray) else repr(value)[:100]
 
 
-def _mesh(table: Table) -> Mesh:
+def mesh_of_arrays(table: Table) -> Mesh:
+    """A mesh of a table with the keys of `TriangleMesh`, checked."""
     vertices = table.points("vertices")
     triangles = table.indices("triangles", len(vertices))
     given = _of_vertices(table, "normals", 3, len(vertices))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ..geometry import (
 from ..textures.image_file import ImageFiles
 from .common import Asked, Colour, FileGeometry, FileMaterial, Notes, Vectors, sentences, three
 from .gltf import read_gltf
+from .gltf_lights import placed
 from .obj import read_obj
 from .ply import read_ply
 from .stl import read_stl
@@ -53,11 +55,14 @@ class FileMeshes:
         What was left out of the geometry or replaced, one sentence a kind.
     notes : list of str
         The same, and what was left out of the file's materials.
+    lights : list of dict
+        The file's punctual lights, as tables of a scene's ``lights``, placed in the world.
     """
 
     meshes: list[FileMesh]
     shape_notes: list[str]
     notes: list[str]
+    lights: list[dict[str, Any]]
 
 
 def read_meshes(
@@ -115,7 +120,8 @@ def read_meshes(
     if notes.smoothing and smooth is None:
         notes.shape("smoothing groups are not read, and faces without normals are flat", "smooth = true")
     shape = sentences(notes.geometry)
-    return FileMeshes(meshes, shape, shape + sentences(notes.looks))
+    lights = [placed(light, transform) for light in notes.lights]
+    return FileMeshes(meshes, shape, shape + sentences(notes.looks), lights)
 
 
 def _placed(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...host.reach import OutsideError, Reach
 from ..table import SceneError, Table
 from .environment import SUN_DIAMETER, UP, Environment, Sun
 from .image import SkyError, aspect_remark, check_sky, read_sky
@@ -21,7 +22,7 @@ MOST_SUNS = 16
 _SMALLEST_DIAMETER = 0.01
 
 
-def read_environment(root: Table, folder: Path) -> tuple[Environment | None, list[str]]:
+def read_environment(root: Table, folder: Path, reach: Reach) -> tuple[Environment | None, list[str]]:
     """The table ``environment``, if there is one, and warnings; files are relative to `folder`."""
     if "environment" not in root:
         return None, []
@@ -43,7 +44,7 @@ def read_environment(root: Table, folder: Path) -> tuple[Environment | None, lis
     if "radiance" in table:
         return replace(blank, radiance=table.colour("radiance"), suns=suns), warnings
     if "file" in table:
-        found = _read_file(table, folder, warnings)
+        found = _read_file(table, folder, reach, warnings)
         return replace(blank, radiance=found, suns=suns), warnings
     if "sky" not in table:
         return replace(blank, suns=suns), warnings
@@ -137,14 +138,14 @@ def _check_used(table: Table, kinds: list[str]) -> None:
         raise table.error("rotation", "turns an image or a sun's azimuth; there is none")
 
 
-def _read_file(table: Table, folder: Path, warnings: list[str]) -> NDArray[np.float32]:
+def _read_file(table: Table, folder: Path, reach: Reach, warnings: list[str]) -> NDArray[np.float32]:
     name, scale = table.text("file"), table.number("scale", 1.0, low=0.0)
     try:
-        found = read_sky(folder / name)
+        found = read_sky(reach.checked(folder / name))
         with np.errstate(over="ignore"):
             found = found * np.float32(scale)
         check_sky(found)
-    except SkyError as error:
+    except (SkyError, OutsideError) as error:
         raise table.error(f"file: {Path(name).name}", str(error)) from error
     remark = aspect_remark(found)
     if remark:
