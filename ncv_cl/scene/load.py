@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
 from . import geometry, meshes
-from .assembly import Assembly, add_lights, read_camera, read_materials
+from .assembly import Assembly, read_camera, read_materials
 from .geometry import Mesh
+from .lights.read import add_lights
 from .model import Camera, Material, QuadLight, Scene
 from .table import SceneError, Table
 from .textures.image_file import ImageFiles
@@ -180,12 +181,19 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
 
 
 def _add_mesh_files(root: Table, folder: Path, images: ImageFiles, assembly: Assembly) -> None:
-    keys = ("file", "material", "name", "translate", "scale", "rotate", "transform", "smooth")
+    keys = (
+        "file", "material", "name", "translate", "scale", "rotate", "transform", "smooth", "lights",
+    )  # fmt: skip
     for table in root.tables("meshes", keys):
         file = folder / table.text("file")
         transform = _read_transform(table)
         material = assembly.named_material(table) if "material" in table else None
         smooth = table.flag("smooth", None)
+        dim = table.choice("lights", ("use", "ignore"), "use") == "ignore"
+        if dim and material is not None:
+            raise table.error(
+                "lights", "has no effect beside material, which replaces what the file emits"
+            )
         key = f"file: {file.name}"
         try:
             textured = material is not None and bool(assembly.materials[material].textures)
@@ -193,19 +201,25 @@ def _add_mesh_files(root: Table, folder: Path, images: ImageFiles, assembly: Ass
         except ValueError as error:
             raise table.error(key, str(error)) from error
         for sentence in found.notes if material is None else found.shape_notes:
-            assembly.warn(table, key, sentence)
+            if not (dim and sentence.startswith(meshes.EMITS)):
+                assembly.warn(table, key, sentence)
         from_file: dict[meshes.FileMaterial | None, int] = {}
         for item in found.meshes:
             index = material
             if index is None:
                 if item.material not in from_file:
-                    from_file[item.material] = assembly.new_material(
-                        _material_of_file(table, item.material, file.name, assembly)
-                    )
+                    read = _material_of_file(table, item.material, file.name, assembly)
+                    from_file[item.material] = assembly.new_material(_dark(read) if dim else read)
                 index = from_file[item.material]
             # Colours are part of the file's looks.
             mesh = item.mesh if material is None else replace(item.mesh, colours=None)
             assembly.add(table, key, mesh, index, advice=_COARSE)
+
+
+def _dark(material: Material) -> Material:
+    """The same material without its emission."""
+    maps = None if material.maps is None else replace(material.maps, emission=None)
+    return replace(material, emission=np.zeros(3, np.float32), maps=maps)
 
 
 def _material_of_file(

@@ -1,4 +1,4 @@
-"""What a scene is: camera, materials, quad lights and one merged triangle mesh.
+"""What a scene is: camera, materials, lights and one merged triangle mesh.
 
 `Camera`, `Material`, `TriangleMesh` and `QuadLight` are also what `build_scene` makes a scene of. It
 takes any numbers for them, checks these, and keeps the arrays that are described here.
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .lights.kinds import DiscLight, SphereLight, SpotLight
 from .table import SceneError
 from .textures.texture import Maps, Texture
 
@@ -57,6 +58,7 @@ class Material:
         In [0.01, 1]; the GGX alpha is roughness**2.
     emission : float32 (3,)
         Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
+        It is light that is sampled, unless a texture or holes say where it is.
     maps : Maps, optional
         What varies over the surface: `albedo` and `roughness` are then factors.
     """
@@ -142,6 +144,10 @@ class QuadLight:
         """Area of one side, in square scene units."""
         return float(np.linalg.norm(self._vector_area()))
 
+    def moved(self, origin: NDArray[np.float64]) -> QuadLight:
+        """The same light about `origin`, in single precision."""
+        return replace(self, corner=self.corner - origin).single()
+
     def single(self) -> QuadLight:
         """The same light in single precision."""
         vectors = {name: getattr(self, name).astype(np.float32) for name in ("corner", "edge1", "edge2")}
@@ -149,6 +155,10 @@ class QuadLight:
 
     def _vector_area(self) -> NDArray[np.float64]:
         return np.cross(self.edge1.astype(np.float64), self.edge2.astype(np.float64))
+
+
+# What `Scene.lights` holds. A `PointLight` becomes a `SphereLight`.
+Light = QuadLight | DiscLight | SphereLight | SpotLight
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +176,7 @@ class Scene:
     camera : Camera
     materials : tuple of Material
         Those of the scene in order, then those of mesh files, then a black one for lights.
-    lights : tuple of QuadLight
+    lights : tuple of QuadLight, DiscLight, SphereLight or SpotLight
         May be empty: ambient occlusion needs none.
     vertices : float32 (n_vertices, 3)
     vertex_normals : float32 (n_vertices, 3)
@@ -193,7 +203,7 @@ class Scene:
     path: Path | None
     camera: Camera
     materials: tuple[Material, ...]
-    lights: tuple[QuadLight, ...]
+    lights: tuple[Light, ...]
     vertices: NDArray[np.float32]
     vertex_normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]

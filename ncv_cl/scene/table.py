@@ -58,6 +58,10 @@ class Table:
         """The same table with other values of some keys."""
         return Table(self.source, self.where, self._data | values, {*self._data, *values})
 
+    def narrowed(self, keys: Collection[str]) -> Table:
+        """The same table, which may have `keys` alone."""
+        return Table(self.source, self.where, self._data, keys)
+
     def error(self, key: str, message: str) -> SceneError:
         """A `SceneError` that says where `key` stands; the caller raises it."""
         place = ".".join(part for part in (self.where, key) if part)
