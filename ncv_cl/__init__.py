@@ -20,6 +20,7 @@ from .points.arrays import PointError
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
 from .scene.build import build_scene
+from .scene.lights.kinds import DiscLight, PointLight, SphereLight, SpotLight
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.sky.environment import Environment, Sun
@@ -42,6 +43,7 @@ __all__ = [
     "Device",
     "DeviceError",
     "DirectLight",
+    "DiscLight",
     "Environment",
     "Files",
     "GlobalIllumination",
@@ -55,11 +57,14 @@ __all__ = [
     "Network",
     "NetworkError",
     "PointError",
+    "PointLight",
     "PointValues",
     "QuadLight",
     "Sampling",
     "Scene",
     "SceneError",
+    "SphereLight",
+    "SpotLight",
     "Stopping",
     "Subdivision",
     "Sun",

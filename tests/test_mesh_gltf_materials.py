@@ -11,7 +11,7 @@ from mesh_files import SQUARE, Gltf, load, own_materials, pbr, read_square
 from ncv_cl.scene.textures.surface import surface_at
 
 OPAQUE = "materials that let light through are drawn opaque: 1 (w)"
-EMITS = "materials that emit, which integrand gi renders and direct refuses: 1 (w)"
+EMITS = "materials that emit, which light the scene: 1 (w)"
 
 
 @pytest.mark.parametrize(

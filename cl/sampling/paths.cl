@@ -275,7 +275,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #if HAS_PANES
   Ray before = ray;
   before.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
   before.strips = AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first));
 #endif
   before.behind = behind + hit.distance;

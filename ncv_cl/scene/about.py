@@ -12,8 +12,9 @@ from . import meshes
 from .imports import read_tables
 from .imports.suggest import view_of
 from .imports.toml_text import toml_text
+from .lights.kinds import SphereLight, SpotLight
 from .load import read_scene, scene_from
-from .model import Camera, Material, QuadLight, Scene
+from .model import Camera, Light, Material, QuadLight, Scene
 from .table import SceneError
 from .textures.image_file import ImageFiles
 from .textures.texture import Texture
@@ -113,10 +114,16 @@ def _lights(scene: Scene) -> list[str]:
     return lines + ([f"  {len(scene.lights) - LISTED} more"] if len(scene.lights) > LISTED else [])
 
 
-def _light(light: QuadLight, origin: NDArray[np.float64]) -> str:
-    corner = light.corner + origin
+def _light(light: Light, origin: NDArray[np.float64]) -> str:
+    radiance = f"radiance {_row(light.radiance)}"
+    if isinstance(light, SphereLight):
+        return f"sphere of radius {light.radius:.3g} at {_row(light.centre + origin)}, {radiance}"
+    if isinstance(light, SpotLight):
+        beam = f"towards {_row(light.direction)} within {light.outer_angle:.3g} degrees"
+        return f"spot at {_row(light.position + origin)}, intensity {_row(light.intensity)}, {beam}"
+    place = light.corner if isinstance(light, QuadLight) else light.centre
     sides = "both sides" if light.two_sided else f"towards {_row(light.normal)}"
-    return f"area {light.area:.3g} at {_row(corner)}, radiance {_row(light.radiance)}, {sides}"
+    return f"area {light.area:.3g} at {_row(place + origin)}, {radiance}, {sides}"
 
 
 def _environment(scene: Scene) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a scene is: camera, materials, quad lights and one merged triangle mesh.
+"""What a scene is: camera, materials, lights and one merged triangle mesh.
 
 `Camera`, `Material`, `TriangleMesh` and `QuadLight` are also what `build_scene` makes a scene of. It
 takes any numbers for them, checks these, and keeps the arrays that are described here.
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .geometry import SMALLEST_ROUGHNESS
+from .lights.kinds import DiscLight, SphereLight, SpotLight
 from .sky.environment import Environment
 from .table import SceneError
 from .textures.texture import Maps, Texture
@@ -62,6 +63,7 @@ class Material:
         In [0.01, 1]; the GGX alpha is roughness**2. 1 by default, and of glass 0.01, which is smooth.
     emission : float32 (3,)
         Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
+        It is light that is sampled, unless a texture or holes say where it is.
     maps : Maps, optional
         What varies over the surface: `albedo` and `roughness` are then factors.
     transmission : float32 (3,)
@@ -193,6 +195,10 @@ class QuadLight:
         """Area of one side, in square scene units."""
         return float(np.linalg.norm(self._vector_area()))
 
+    def moved(self, origin: NDArray[np.float64]) -> QuadLight:
+        """The same light about `origin`, in single precision."""
+        return replace(self, corner=self.corner - origin).single()
+
     def single(self) -> QuadLight:
         """The same light in single precision."""
         vectors = {name: getattr(self, name).astype(np.float32) for name in ("corner", "edge1", "edge2")}
@@ -200,6 +206,10 @@ class QuadLight:
 
     def _vector_area(self) -> NDArray[np.float64]:
         return np.cross(self.edge1.astype(np.float64), self.edge2.astype(np.float64))
+
+
+# What `Scene.lights` holds. A `PointLight` becomes a `SphereLight`.
+Light = QuadLight | DiscLight | SphereLight | SpotLight
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +227,7 @@ class Scene:
     camera : Camera
     materials : tuple of Material
         Those of the scene in order, then those of mesh files, then a black one for lights.
-    lights : tuple of QuadLight
+    lights : tuple of QuadLight, DiscLight, SphereLight or SpotLight
         May be empty: ambient occlusion needs none.
     vertices : float32 (n_vertices, 3)
     vertex_normals : float32 (n_vertices, 3)
@@ -246,7 +256,7 @@ class Scene:
     path: Path | None
     camera: Camera
     materials: tuple[Material, ...]
-    lights: tuple[QuadLight, ...]
+    lights: tuple[Light, ...]
     vertices: NDArray[np.float32]
     vertex_normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]

@@ -34,6 +34,8 @@ _READERS: dict[str, Callable[[Path, Notes, Asked], list[FileGeometry]]] = {
 }
 # Suffixes of the files that are read.
 KINDS = tuple(_READERS)
+# What is said of materials that emit.
+EMITS = "materials that emit, which light the scene"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +192,7 @@ def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
     if clamped != colours or emission != material.emission:
         notes.look("materials with colours outside [0, 1], which are clamped", material.name)
     if any(emission):
-        kind = "materials that emit, which integrand gi renders and direct refuses"
-        notes.look(kind, material.name)
+        notes.look(EMITS, material.name)
     roughness = min(max(float(np.nan_to_num(material.roughness)), SMALLEST_ROUGHNESS), 1.0)
     return replace(material, **clamped, roughness=roughness, emission=emission)
 

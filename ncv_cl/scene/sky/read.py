@@ -14,6 +14,7 @@ from .environment import SUN_DIAMETER, UP, Environment, Sun
 from .image import SkyError, aspect_remark, check_sky, read_sky
 
 KEYS = ("radiance", "file", "scale", "rotation", "up", "sky", "zenith", "sun")
+DIRECTIONAL = "directional"
 DIRECTIONAL_KEYS = ("kind", "direction", "irradiance", "angle")
 SKIES = ("overcast", "clear")
 # Every sample looks at all of them.
@@ -65,23 +66,6 @@ def directional(table: Table) -> Sun:
     if not np.any(direction):
         raise table.error("direction", "has no length")
     return Sun(-direction, table.colour("irradiance"), _diameter(table, "angle"))
-
-
-def split_lights(root: Table, keys: tuple[str, ...]) -> tuple[list[Table], list[Sun]]:
-    """The tables of ``lights`` of kind quad, which may hold `keys`, and the directional lights."""
-    entries = root.raw("lights") if "lights" in root else []
-    if not isinstance(entries, list):
-        raise root.error("lights", "expected an array of tables [[lights]]")
-    quads, suns = [], []
-    for index, entry in enumerate(entries):
-        is_sun = isinstance(entry, dict) and entry.get("kind") == "directional"
-        table = Table(root.source, f"lights[{index}]", entry, DIRECTIONAL_KEYS if is_sun else keys)
-        table.choice("kind", ("quad", "directional"), "quad")
-        if is_sun:
-            suns.append(directional(table))
-        else:
-            quads.append(table)
-    return quads, suns
 
 
 def with_suns(
