@@ -9,6 +9,9 @@ from __future__ import annotations
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .integration.integrate import integrate
 from .integration.subdivide import Subdivision, draw_subdivision, subdivide
+from .machines.crew import TaskError
+from .machines.processes import Processes
+from .machines.values import CannotTravel
 from .network.network import Network, NetworkError
 from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
@@ -36,6 +39,7 @@ __all__ = [
     "AmbientOcclusion",
     "BakeError",
     "Camera",
+    "CannotTravel",
     "Device",
     "DeviceError",
     "DirectLight",
@@ -52,12 +56,14 @@ __all__ = [
     "NetworkError",
     "PointError",
     "PointValues",
+    "Processes",
     "QuadLight",
     "Sampling",
     "Scene",
     "SceneError",
     "Stopping",
     "Subdivision",
+    "TaskError",
     "Texture",
     "Training",
     "TriangleMesh",

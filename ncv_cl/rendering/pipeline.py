@@ -109,6 +109,8 @@ def estimate_integrals(
         variate = control_variate(problem, settings, untimed, before.trained, save)
     if variate is None:
         keep.note_no_network()
+    if problem.carrier is not None:
+        problem.carrier.take(settings, variate, before.guide)
     drawn = _drawn(problem, settings, run, keep, before, variate)
     return Outcome(
         plan=plan,
@@ -192,5 +194,7 @@ def _drawn(
             kept = allocation if settings.allocation == "relative" else None
             keep.write(image_estimate, before.estimate, variate, before.guide, direct, kept)
 
+    if problem.carrier is not None:
+        problem.carrier.save = after_pass
     ended_by = draw(problem, settings, run, image_estimate, target, after_pass, direct)
     return finish(image_estimate, allocation, ended_by, direct)
