@@ -49,6 +49,11 @@ class Kept:
             while len(self._found) > 1 and sum(one for _, one in self._found.values()) > MOST_KEPT:
                 self._found.popitem(last=False)
 
+    def forget(self, key: str) -> None:
+        """Keep a value no longer."""
+        with self._lock:
+            self._found.pop(key, None)
+
     def fetch(
         self, keys: Iterable[str], given: dict[str, bytes], shared: str | None
     ) -> dict[str, object]:
@@ -114,6 +119,7 @@ class Values:
     def __init__(self, shared: str | Path | None = None) -> None:
         self.shared = None if shared is None else str(shared)
         self._data: dict[str, bytes] = {}
+        self._own: list[str] = []
 
     def put(self, value: object, what: str) -> str:
         """The digest of a value, under which workers will find it.
@@ -128,15 +134,18 @@ class Values:
         data = pickled(value, what)
         key = digest_of(data)
         KEPT.put(key, value, len(data))
+        self._own.append(key)
         if self.shared is None:
             self._data[key] = data
         elif _shared(self.shared, key) is None:
             write_whole(Path(self.shared) / key, lambda file: file.write(data))
         return key
 
-    def forget(self, key: str) -> None:
-        """Let go of a value that no task will ask for any more."""
-        self._data.pop(key, None)
+    def close(self) -> None:
+        """Let go of all values; files stay."""
+        self._data.clear()
+        for key in self._own:
+            KEPT.forget(key)
 
     def of(self, keys: Iterable[str]) -> dict[str, bytes]:
         """Pickled values to be sent.

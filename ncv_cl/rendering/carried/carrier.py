@@ -26,7 +26,7 @@ from ...scene.load import Scene
 from ...settings.options import Machine
 from ...settings.settings import Settings
 from .spec import EstimateSpec, ProblemSpec, Request, TileData, TileResult, this_build
-from .tile import OWN_DEVICES, Learned, draw_tile
+from .tile import BENCHES, OWN_DEVICES, Learned, draw_tile
 from .travel import TravellingIntegrand
 
 # Samples of a task: seconds of a core, a hundred times what it takes to send, to set up and to return
@@ -255,4 +255,6 @@ class Carrier:
     def close(self) -> None:
         """Let go of what the render held."""
         OWN_DEVICES.pop(self._spec, None)
+        BENCHES.pop(self._spec, None)
+        self.values.close()
         self.crew.close()

@@ -131,23 +131,24 @@ class Bench:
         return replace(found, first_id=begin)
 
 
-_BENCHES: dict[str, Bench] = {}
+# This process's benches, by the digest of their problem.
+BENCHES: dict[str, Bench] = {}
 _LOCK = threading.Lock()
 # Benches that a process keeps: of the render under way, and of those that take turns with it.
-MOST_BENCHES = 4
+MOST_KEPT = 4
 
 
 def bench_of(values: Mapping[str, object], key: str) -> Bench:
     """This process's bench for a problem."""
     with _LOCK:
-        if key not in _BENCHES:
+        if key not in BENCHES:
             spec = values[key]
             scene = None if spec.scene is None else values[spec.scene]
             made = Bench(spec, scene, OWN_DEVICES.get(key))
-            while len(_BENCHES) >= MOST_BENCHES:
-                del _BENCHES[next(iter(_BENCHES))]
-            _BENCHES[key] = made
-        return _BENCHES[key]
+            while len(BENCHES) >= MOST_KEPT:
+                del BENCHES[next(iter(BENCHES))]
+            BENCHES[key] = made
+        return BENCHES[key]
 
 
 # Devices of renders in this process, by the digest of their problem: threads work on these.
