@@ -9,6 +9,9 @@ from __future__ import annotations
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .integration.integrate import integrate
 from .integration.subdivide import Subdivision, draw_subdivision, subdivide
+from .machines.crew import TaskError
+from .machines.processes import Processes
+from .machines.values import CannotTravel
 from .network.network import Network, NetworkError
 from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
@@ -39,6 +42,7 @@ __all__ = [
     "AmbientOcclusion",
     "BakeError",
     "Camera",
+    "CannotTravel",
     "Comparison",
     "Device",
     "DeviceError",
@@ -59,6 +63,7 @@ __all__ = [
     "PointError",
     "PointLight",
     "PointValues",
+    "Processes",
     "QuadLight",
     "Sampling",
     "Scene",
@@ -68,6 +73,7 @@ __all__ = [
     "Stopping",
     "Subdivision",
     "Sun",
+    "TaskError",
     "Texture",
     "Training",
     "TriangleMesh",

@@ -90,7 +90,8 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
 
 /* Rays of `bounce` (the first is 1) and their hits. */
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
-                       const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
+                       const uint first_point, const uint first_id, const uint first_sample, const uint stride,
+                       const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, const uint places,
                        global const uint *restrict order, global const float *restrict triangles,
                        global const uint *restrict textures, global const half *restrict texels,
@@ -216,7 +217,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const bits index = place - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
   real coordinates[5];
-  sample_nested(point + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
+  sample_nested(point + first_id + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =

@@ -26,6 +26,7 @@ from ..sampling.problem import Problem
 from ..scene.load import Scene, load_scene
 from ..settings.options import Files, Machine, Sampling, Stopping, Training, gathered
 from ..settings.settings import Settings
+from .carried.passes import carried
 from .describe import describe
 from .pipeline import Outcome, estimate_integrals
 from .prepare import prepare
@@ -73,7 +74,8 @@ def render(
     sampling, training, stopping, files, machine : optional
         Groups of options.
     **options
-        Single options of these groups by their names, such as ``supersample=2`` or ``time_limit=60``.
+        Single options of these groups by their names, such as ``supersample=2``, ``time_limit=60``
+        or ``executor=ncv.Processes(4)``.
 
     Returns
     -------
@@ -91,6 +93,8 @@ def render(
         If there is no such OpenCL device.
     RuntimeError
         If a kernel of one's own does not compile; says file, line and what the compiler said.
+    TaskError
+        If workers fail again and again; the checkpoint, if there is to be one, holds what was done.
     """
     started = time.perf_counter()
     groups = gathered(
@@ -104,6 +108,7 @@ def render(
         options,
     )
     files, machine = groups.pop("files"), groups.pop("machine")
+    machine.check()
     check_paths({"checkpoint": files.checkpoint, "save_network": files.save_network})
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
@@ -119,7 +124,8 @@ def render(
     run = Run(clock=Clock(limit, started), stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch)
     settings = problem.sampled(settings)
-    outcome = estimate_integrals(problem, settings, run, keep, given)
+    with carried(problem, machine, run, scene, resumed=keep.resumed) as problem:
+        outcome = estimate_integrals(problem, settings, run, keep, given)
     image = _image(scene, settings, run, problem, outcome)
     describe(image, scene, settings, problem, outcome, run.watch, time.perf_counter() - started)
     if keep.not_written:

@@ -283,6 +283,7 @@ class PathSource(SampleSource):
             max_depth=self._max_depth,
             bounce=bounce,
             first_point=batch.points.start,
+            first_id=self.points.first_id,
             first_sample=first_sample,
             stride=batch.stride,
             inverse_stride=1.0 / batch.stride,
