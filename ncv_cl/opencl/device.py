@@ -81,6 +81,16 @@ def once(make: Callable[..., _Made]) -> Callable[..., _Made]:
     return ask
 
 
+class CutShortError(DeviceError):
+    """A device's runtime ended a kernel before all its work was done, as some do after so many turns."""
+
+    @classmethod
+    def of(cls, device: Device, done: str) -> CutShortError:
+        """The error of a device, and what was `done`, as in "integrated 3 of 5 points"."""
+        name = f"{device.name} ({device.platform_version})"
+        return cls(f"{name} {done}: its runtime cut the kernel short. Choose another device")
+
+
 @dataclass(frozen=True, eq=False)
 class Device:
     """An OpenCL device with its context and in-order queue.
