@@ -125,7 +125,7 @@ def team_bytes(constants: dict[str, int | str], method: str, item_bytes: int) ->
         numbers += (1 + size["MOMENT_STRIDE"]) * vertices + 4 * lines
         # Three indices of two bytes, padded.
         last = (8 + item_bytes) * size["MAX_TRIANGLES"]
-    # Arrays begin at multiples of 64 bytes: half of that each, of 18 beside those of arrangements and lines.
+    # Arrays begin at multiples of 64 bytes: half of that each, of 18 beside arrangements' and lines'.
     padding = 32 * (18 + 3 * size["ARRANGEMENTS"] + 3 * size["LINE_LAYERS"])
     return size["ARRANGEMENTS"] * arrangement + item_bytes * numbers + 4 * lines + last + padding
 

@@ -162,7 +162,7 @@ class Integrator:
     def _is_lone(self, vec: int, item_bytes: int) -> bool:
         """Whether each work-item of a GPU takes a point of its own, and not a group.
 
-        So where half a group or more would have no neuron to work on, and nobody but the leader a line to
+        So where half a group or more would have no neuron to work on, and only the leader a line to
         insert; and where the arrangement of a point is small enough for private memory.
         """
         if self.device.lanes == 1 or vec > 1 or 2 * max(self.widths[1:]) > self.device.lanes:
