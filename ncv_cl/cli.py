@@ -8,12 +8,13 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 
 from .commands.bake import add_bake
-from .commands.common import Help, add_common, add_scene, load, write_json
+from .commands.common import Help, add_common, add_scene, load, workers, write_json
 from .commands.points import add_sense
 from .commands.scene_files import add_import, add_info
 from .host.console import EXPECTED, complain, one_line, run, say, summary
@@ -245,11 +246,11 @@ def _check_render(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> int:
     _check_render(options)
-    with StopOnSignal() as stop:
-        return _render_and_write(options, stop)
+    with workers(options) as executor, StopOnSignal() as stop:
+        return _render_and_write(options, stop, executor)
 
 
-def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
+def _render_and_write(options: argparse.Namespace, stop: StopOnSignal, executor: Executor | None) -> int:
     chosen = [read_arguments(options, group) for group in GROUPS.values()]
     image = render(
         load(options),
@@ -261,6 +262,7 @@ def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
         device=options.device,
         progress=True,
         stop=stop,
+        executor=executor,
         **{name: value for group in chosen for name, value in group.items()},
     )
     failed = _write_all(image, options)

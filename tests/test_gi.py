@@ -45,10 +45,12 @@ EMISSION = np.array([1.0, 2.0, 0.5])
 @pytest.mark.parametrize("depth", [2, 3])
 def test_a_furnace_is_a_geometric_series(device, depth):
     scene = closed_box(glowing(ALBEDO, EMISSION))
-    image = render(scene, GlobalIllumination(depth), "mc", spp=4, size=(5, 4), device=device)
+    options = {"sampler": "independent", "spp": 1024, "size": (5, 4), "device": device}
+    image = render(scene, GlobalIllumination(depth), "mc", **options)
     expected = EMISSION * (1 - ALBEDO**depth) / (1 - ALBEDO)
-    # Every path brings the same: nothing is left to chance before roulette.
-    np.testing.assert_allclose(image.pixels, np.broadcast_to(expected, image.pixels.shape), rtol=1e-5)
+    z = (image.pixels - expected) / np.sqrt(image.variance)
+    assert np.abs(z).max() < 4.5 and np.mean(z**2) < 1 + 5 * np.sqrt(2 / 20)
+    assert np.sqrt(image.variance.mean()) < 0.01
 
 
 @pytest.mark.parametrize("depth, sampler", [(5, "sobol"), (None, "independent"), (None, "sobol")])

@@ -20,9 +20,11 @@ from reference import (
 )
 
 from ncv_cl.integrands import DirectLight
-from ncv_cl.integrands.light_cells import Lights, cell_of, may_light, mean_irradiance, scene_cells
+from ncv_cl.integrands.light_cells import cell_of, may_light, mean_irradiance, scene_cells
+from ncv_cl.integrands.light_sources import Lights
 from ncv_cl.integrands.lights import (
     LIGHT,
+    LIGHT_FILES,
     light_defines,
     light_records,
     light_rows,
@@ -175,7 +177,7 @@ def test_kernels_find_the_rows_strips_and_records_that_were_made(device, count):
     u[:64] = np.arange(64) / np.float32(64)
     number = len(position) // 16 * 16
     numbers = np.concatenate([position.T, normal.T, u[None]])[:, :number].astype(np.float32)
-    files = ("common", "surface", "lights")
+    files = ("common", "surface", *LIGHT_FILES)
     kernel = bare_kernel(device, files, {**surface_defines(), **defines}, KERNEL, "rows")
     result = HostArray(device, (4 + LIGHT.size, number), np.float32)
     kernel(

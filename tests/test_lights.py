@@ -23,7 +23,7 @@ from scipy import stats
 
 from ncv_cl import GlobalIllumination, render
 from ncv_cl.integrands import DirectLight
-from ncv_cl.integrands.lights import light_defines, light_records
+from ncv_cl.integrands.lights import LIGHT_FILES, light_defines, light_records
 from ncv_cl.integrands.tuning import SMALL_LIGHT
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
@@ -83,7 +83,7 @@ class Found:
 
 def sampled(device, light: QuadLight, position: np.ndarray, u: np.ndarray, v: np.ndarray) -> Found:
     scene = mesh_scene(quad([0, -1, 0], [0, 0, 1], [1, 0, 0]), camera_at([0, 1, 3], [0, 0, 0]), (light,))
-    files = ("common", "surface", "lights")
+    files = ("common", "surface", *LIGHT_FILES)
     kernel = bare_kernel(device, files, {**surface_defines(), **light_defines(scene)}, KERNEL, "samples")
     rows = np.concatenate([np.repeat(np.array(position, float)[:, None], len(u), axis=1), [u, v]])
     result = HostArray(device, (7, len(u)), np.float32)

@@ -29,6 +29,7 @@ from visibility_case import cut_in_four
 
 from ncv_cl.host.clock import Stopwatch
 from ncv_cl.integrands import DirectLight
+from ncv_cl.integrands.lights import LIGHT_FILES
 from ncv_cl.opencl.device import open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import surface_defines
@@ -121,7 +122,7 @@ def compared(device, scene, size=(12, 10), samples=64, most=None) -> Compared:
     defines = {
         **surface_defines(), **occluders.defines(), **line_defines(), **DirectLight().defines(scene),
     }  # fmt: skip
-    files = ("common", "surface", "bsdf", "lights", "shaft", *LINE_FILES)
+    files = ("common", "surface", "bsdf", *LIGHT_FILES, "shaft", *LINE_FILES)
     kernel = bare_kernel(device, files, defines, KERNEL, "free_of_lines")
     found = [HostArray(device, live.shape, np.float32) for _ in range(2)]
     kernel(

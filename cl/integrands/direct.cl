@@ -1,6 +1,6 @@
-/* Direct light: F(p) = integral over all area lights of f_r L_e G V dA.
+/* Direct light: F(p) = integral over all area lights of f_r L_e G V dA, and over the environment of f_r L V cos dw.
  *
- * (u, v) is a point on a light, see lights.cl, whose records are the integrand_data. Where the surface has a lobe, a strip
+ * (u, v) is a point on a light, see lights.cl, whose records are the integrand_data, or a direction, see environment.cl. Where the surface has a lobe, a strip
  * of the square is directions of the lobe, see lobe.cl.
  *
  * Work-group contract: none; pure functions of private values.
@@ -13,7 +13,7 @@ void evaluate_integrand(const ShadingPoint *p, global const float *restrict inte
   const LightSample light = sample_lights_and_lobe(integrand_data, p, &s, u, v);
 #else
   const LightSample light =
-      sample_lights(integrand_data, strips_at(integrand_data, p), to_triple(p->position), to_triple(ray_origin(p)), u, v);
+      sample_emitters(integrand_data, strips_at(integrand_data, p), to_triple(p->position), to_triple(ray_origin(p)), u, v);
 #endif
   const real cosine = dot_triple(s.normal, light.towards);
   const whole lit =

@@ -7,29 +7,23 @@
  * the lights that may light something in the cell, as wide as what they bring there asks for. A table says which light
  * a step of the square belongs to, so a sample costs the same however many lights there are.
  *
- * Where on its light a sample lies. Seen from a position at distance z from the light's plane, a line along edge2 is
- * at an angle theta from the plane's foot, and a point on it at an angle of sine h from the line's foot: cylindrical
- * coordinates about an axis along edge2, in which d(theta) dh is solid angle, as Archimedes found. (u, v) are theta and
- * h stretched from 0 to 1, so the density of directions is 1 / (range of theta * range of h on the line): all but
- * uniform over the solid angle for any parallelogram, known exactly, and without the cancellation of angles'
- * sums (Urena, Fajardo and King 2013 have uniform ones for rectangles). A line u = const is a straight line on
- * the light. Lights that are small as seen from the position are sampled by area, (u, v) along the edges, which
- * is then as good and costs less.
+ * light_shapes.cl has where on its light a sample lies.
  *
- * `lights`: LIGHT_COUNT records of LIGHT in lights.py, which says what they hold. With two lights or more follow a
- * record of FRAME there; rows of STRIP_STEPS numbers of lights, then first and width of each light's strip (STRIP), the
- * first row by the lights' power alone; and the number of each cell's row. A row is known by where it begins.
+ * With HAS_CLUSTERS a strip may belong to many lights: u, stretched over the strip, chooses one of these by power, again
+ * by a table, and is stretched over its part.
+ *
+ * `lights`: LIGHT_COUNT records of LIGHT in lights.py, which says what they hold. With two lights or more, or an
+ * environment (HAS_ROWS), follow a record of FRAME there; CLUSTER_FLOATS of clusters (CLUSTER), if there are any, and
+ * their tables of lights; rows of STRIP_STEPS numbers of strips, then first and width of each of STRIP_COUNT strips
+ * (STRIP), and SKY_NUMBERS for environment.cl, the first row by the lights' power alone; and the number of each cell's
+ * row. A row is known by where it begins.
  *
  * Work-group contract: none; pure functions of private values.
  */
 
 #define LIGHT_FRAME (LIGHT_COUNT * LIGHT_FLOATS)
-#define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS)
-#define LIGHT_ROW_FLOATS (STRIP_STEPS + STRIP_FLOATS * LIGHT_COUNT)
-/* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
-#ifndef INLINED
-#define INLINED __attribute__((always_inline))
-#endif
+#define FIRST_ROW (LIGHT_FRAME + FRAME_FLOATS + ALL_CLUSTERS_FLOATS)
+#define LIGHT_ROW_FLOATS (STRIP_STEPS + STRIP_FLOATS * STRIP_COUNT + SKY_NUMBERS)
 /* Of so many lights each is looked at for all samples at once; of more, every sample gathers its own's numbers. */
 #define SELECTED_LIGHTS 8
 
@@ -47,102 +41,13 @@ float light_offset(global const float *restrict record, const float3 position) {
   return record[LIGHT_OFFSET] + 2.0f * RELATIVE_OFFSET * dot(fabs(vload3(0, record + LIGHT_NORMAL)), fabs(position));
 }
 
-/* A light from a position: its plane's distance, where lines along edge2 begin and end across it, and where the first
- * of them begins along it. */
-typedef struct {
-  real z, x0, width, y0, slope, length;
-} LightView;
-
-/* atan2(y, x) of y >= 0, which is not zero if x is, and below the sine and cosine of angles from 0 to pi: to a rounding
- * error or two of the largest results, for a third of what the built-in ones cost (Moshier 1992, Cephes). */
-INLINED real half_turn_angle(const real y, const real x) {
-  const real low = min(y, fabs(x));
-  const real high = max(y, fabs(x));
-  const whole steep = low > 0.41421356f * high;
-  const real t = SELECT(low, low - high, steep) / SELECT(high, low + high, steep);
-  const real t2 = t * t;
-  const real tail = FMA(FMA(FMA((real)8.05374449538e-2f, t2, (real)-1.38776856032e-1f), t2, (real)1.99777106478e-1f), t2,
-                        (real)-3.33329491539e-1f);
-  real angle = FMA(tail * t2, t, t) + SELECT((real)0.0f, (real)(0.25f * M_PI_F), steep);
-  angle = SELECT(angle, 0.5f * M_PI_F - angle, y > fabs(x));
-  return SELECT(angle, M_PI_F - angle, x < 0.0f);
-}
-
-INLINED void half_turn_sincos(const real angle, real *sine, real *cosine) {
-  /* From the quarter's, doubled twice: as exact for small angles as these are. */
-  const real a = 0.25f * angle;
-  const real a2 = a * a;
-  const real sine_tail =
-      FMA(FMA((real)-1.9515295891e-4f, a2, (real)8.3321608736e-3f), a2, (real)-1.6666654611e-1f);
-  const real quarter_sine = FMA(sine_tail * a2, a, a);
-  const real cosine_tail =
-      FMA(FMA((real)2.443315711809948e-5f, a2, (real)-1.388731625493765e-3f), a2, (real)4.166664568298827e-2f);
-  const real quarter_cosine = FMA(cosine_tail * a2, a2, FMA((real)-0.5f, a2, (real)1.0f));
-  const real half_sine = 2.0f * quarter_sine * quarter_cosine;
-  const real half_cosine = FMA(-2.0f * quarter_sine, quarter_sine, (real)1.0f);
-  *sine = 2.0f * half_sine * half_cosine;
-  *cosine = FMA(-2.0f * half_sine, half_sine, (real)1.0f);
-}
-
-/* The range of theta. */
-INLINED real view_angle(const LightView *view) {
-  const real x1 = view->x0 + view->width;
-  return half_turn_angle(view->z * view->width, FMA(view->z, view->z, view->x0 * x1));
-}
-
-/* Of the line at x, which begins at y: the square of its distance, and at both ends h and 1 - h^2; the range of h. */
-typedef struct {
-  real squared, h[2], rest[2], range;
-} LightLine;
-
-INLINED LightLine light_line(const LightView *view, const real x, const real y) {
-  LightLine line;
-  line.squared = FMA(x, x, view->z * view->z);
-  const real ends[2] = {y, y + view->length};
-  real inverse[2];
-  for (int end = 0; end < 2; ++end) {
-    inverse[end] = rsqrt(FMA(ends[end], ends[end], line.squared));
-    line.h[end] = ends[end] * inverse[end];
-    line.rest[end] = line.squared * inverse[end] * inverse[end];
-  }
-  /* Without cancellation where both ends lie on one side. */
-  const real both = view->length * (ends[0] + ends[1]) * inverse[0] * inverse[1];
-  const real same = line.squared * inverse[0] * inverse[1] * both / (line.h[0] + line.h[1]);
-  line.range = SELECT(line.h[1] - line.h[0], same, line.h[0] * line.h[1] > 0.0f);
-  return line;
-}
-
-/* Sends u to x across edge2; `angle` is the light's `view_angle`. */
-INLINED real view_x(const LightView *view, const real u, const real angle) {
-  real sine, cosine;
-  half_turn_sincos(u * angle, &sine, &cosine);
-  const real toward = FMA(view->z, cosine, -view->x0 * sine);
-  /* Tangent of theta by the sum of its beginning and u's part: as exact near the foot as at the light's ends. */
-  const real tangent = FMA(view->z, sine, view->x0 * cosine) / max(toward, (real)1e-30f);
-  return clamp(view->z * tangent, view->x0, view->x0 + view->width);
-}
-
-/* Sends (u, v) to x across edge2 and y along it, about the position; returns the solid angle that a sample stands for. */
-INLINED real sample_view(const LightView *view, const real u, const real v, real *x, real *y) {
-  const real angle = view_angle(view);
-  *x = view_x(view, u, angle);
-  const real begin = FMA(*x - view->x0, view->slope, view->y0);
-  const LightLine line = light_line(view, *x, begin);
-  /* Of positive terms: 1 - h^2 at h = (1 - v) h0 + v h1. */
-  const real left = 1.0f - v;
-  const real h = FMA(v, line.h[1], left * line.h[0]);
-  const real rest = FMA(v, line.rest[1], left * line.rest[0]) + v * left * line.range * line.range;
-  *y = clamp(h * sqrt(line.squared / max(rest, (real)1e-30f)), begin, begin + view->length);
-  return angle * line.range;
-}
-
 /* The row by the lights' power alone. */
 whole all_strips(global const float *restrict lights) {
   (void)lights;
   return (whole)FIRST_ROW;
 }
 
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
 /* Where the strips of surfaces at (x, y, z) with this geometric normal, on the side that is lit, begin. One text for
  * a shading point and for VEC hits. */
 #define DEFINE_STRIPS(name, number, integer, to_integer, choose, look_up)                                           \
@@ -181,7 +86,7 @@ DEFINE_STRIPS(point_strips, float, int, convert_int, CHOOSE, LOOK_UP)
 #endif
 
 whole strips_of(global const float *restrict lights, const triple position, const triple normal) {
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
   return hit_strips(lights, position.x, position.y, position.z, normal.x, normal.y, normal.z);
 #else
   (void)position;
@@ -191,7 +96,7 @@ whole strips_of(global const float *restrict lights, const triple position, cons
 }
 
 whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
   const float3 x = p->position;
   const float3 n = p->geometric_normal;
   /* What a cell's row leaves out is known of its surfaces only. */
@@ -200,25 +105,6 @@ whole strips_at(global const float *restrict lights, const ShadingPoint *p) {
 #else
   (void)p;
   return all_strips(lights);
-#endif
-}
-
-/* The light that a row gives to u, as the place of its record; its strip. */
-INLINED whole light_at(global const float *restrict lights, const whole row, const real u, real *first, real *width) {
-#if LIGHT_COUNT > 1
-  const whole step = min(TO_WHOLE(u * (float)STRIP_STEPS), (whole)(STRIP_STEPS - 1));
-  const whole light = TO_WHOLE(gather(lights, row + step));
-  const whole strip = row + STRIP_STEPS + STRIP_FLOATS * light;
-  *first = gather(lights, strip + STRIP_FIRST);
-  *width = gather(lights, strip + STRIP_WIDTH);
-  return light * LIGHT_FLOATS;
-#else
-  (void)lights;
-  (void)row;
-  (void)u;
-  *first = (real)0.0f;
-  *width = (real)1.0f;
-  return (whole)0;
 #endif
 }
 
@@ -240,16 +126,68 @@ INLINED triple light_triple(global const float *restrict lights, const whole rec
                   light_number(lights, record, at + 2)};
 }
 
+/* The light that a row gives to u, as the place of its record; its part of the square. */
+INLINED whole light_at(global const float *restrict lights, const whole row, const real u, real *first, real *width) {
+#if LIGHT_COUNT > 1
+  const whole step = min(TO_WHOLE(u * (float)STRIP_STEPS), (whole)(STRIP_STEPS - 1));
+  const whole owner = TO_WHOLE(gather(lights, row + step));
+  const whole strip = row + STRIP_STEPS + STRIP_FLOATS * owner;
+  *first = gather(lights, strip + STRIP_FIRST);
+  *width = gather(lights, strip + STRIP_WIDTH);
+#if HAS_CLUSTERS
+  const whole cluster = LIGHT_FRAME + FRAME_FLOATS + CLUSTER_FLOATS * owner;
+  const real steps = gather(lights, cluster + CLUSTER_STEPS);
+  const whole own = min(TO_WHOLE((u - *first) / *width * steps), TO_WHOLE(steps) - 1);
+  const whole record = LIGHT_FLOATS * TO_WHOLE(gather(lights, TO_WHOLE(gather(lights, cluster + CLUSTER_TABLE)) + own));
+  *first = FMA(*width, gather(lights, record + LIGHT_PART), *first);
+  *width *= gather(lights, record + LIGHT_PART + 1);
+  return record;
+#else
+  return owner * LIGHT_FLOATS;
+#endif
+#else
+  (void)lights;
+  (void)row;
+  (void)u;
+  *first = (real)0.0f;
+  *width = (real)1.0f;
+  return (whole)0;
+#endif
+}
+
 /* The light of a record about a position, `begin` being its corner from there. */
 INLINED LightView light_view(global const float *restrict lights, const whole record, const triple begin, const triple normal,
                      const triple across, const triple along) {
-  return (LightView){fabs(dot_triple(begin, normal)),
-                     dot_triple(begin, across),
-                     light_number(lights, record, LIGHT_WIDTH),
-                     dot_triple(begin, along),
-                     light_number(lights, record, LIGHT_SLOPE),
-                     light_number(lights, record, LIGHT_LENGTH)};
+  LightView view;
+  view.z = fabs(dot_triple(begin, normal));
+  view.x0 = dot_triple(begin, across);
+  view.width = light_number(lights, record, LIGHT_WIDTH);
+  view.y0 = dot_triple(begin, along);
+  view.slope = light_number(lights, record, LIGHT_SLOPE);
+  view.length = light_number(lights, record, LIGHT_LENGTH);
+#if HAS_SHAPES
+  view.shape = light_number(lights, record, LIGHT_SHAPE);
+#endif
+  return view;
 }
+
+#if HAS_BALLS
+/* How far before a ball rays from a position end. */
+INLINED real ball_offset(global const float *restrict lights, const whole record, const triple position) {
+  const real coordinates = fabs(position.x) + fabs(position.y) + fabs(position.z);
+  return FMA((real)(2.0f * RELATIVE_OFFSET), coordinates, light_number(lights, record, LIGHT_OFFSET));
+}
+
+/* What a ball sends along a unit direction towards it, over its radiance: less outside a spot's inner angle. */
+INLINED real beam_share(global const float *restrict lights, const whole record, const triple towards) {
+  const triple axis = light_triple(lights, record, LIGHT_ALONG);
+  const triple beside = {axis.y * towards.z - axis.z * towards.y, axis.z * towards.x - axis.x * towards.z,
+                         axis.x * towards.y - axis.y * towards.x};
+  const real sine = max(sqrt(dot_triple(beside, beside)), (real)1e-20f);
+  const real left = light_number(lights, record, LIGHT_ACROSS) - half_turn_angle(sine, -dot_triple(axis, towards));
+  return clamp(left * light_number(lights, record, LIGHT_ACROSS + 1), (real)0.0f, (real)1.0f);
+}
+#endif
 
 INLINED LightSample sample_lights(global const float *restrict lights, const whole strips, const triple position,
                           const triple origin, const real u, const real v) {
@@ -265,7 +203,22 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
 #else
   real first, width;
   const whole record = light_at(lights, strips, u, &first, &width);
-  const real along = (u - first) / width;
+#if HAS_CLUSTERS
+  /* A part's bounds may not be single numbers. */
+  const real chosen = clamp((u - first) / width, (real)0.0f, (real)0.99999994f);
+#else
+  const real chosen = (u - first) / width;
+#endif
+#if HAS_SHAPES
+  const real shape = light_number(lights, record, LIGHT_SHAPE);
+  real start, density;
+  const real along = toward_tip(shape, chosen, &density);
+  const real part = line_part(shape, along, &start);
+  const real on_line = FMA(part, v, start);
+#else
+  const real along = chosen;
+  const real on_line = v;
+#endif
   const triple corner = light_triple(lights, record, LIGHT_CORNER);
   const triple edge1 = light_triple(lights, record, LIGHT_EDGE1);
   const triple edge2 = light_triple(lights, record, LIGHT_EDGE2);
@@ -274,8 +227,8 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   const triple middle = {begin.x + 0.5f * (edge1.x + edge2.x), begin.y + 0.5f * (edge1.y + edge2.y),
                          begin.z + 0.5f * (edge1.z + edge2.z)};
   /* From the point on the surface: what the integrand is made of. */
-  triple to = {begin.x + along * edge1.x + v * edge2.x, begin.y + along * edge1.y + v * edge2.y,
-               begin.z + along * edge1.z + v * edge2.z};
+  triple to = {begin.x + along * edge1.x + on_line * edge2.x, begin.y + along * edge1.y + on_line * edge2.y,
+               begin.z + along * edge1.z + on_line * edge2.z};
   const whole large = dot_triple(middle, middle) < light_number(lights, record, LIGHT_LARGE);
   real solid_angle = (real)0.0f;
   if (ANY(large)) {
@@ -283,7 +236,7 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
     const triple e1 = light_triple(lights, record, LIGHT_ACROSS);
     const LightView view = light_view(lights, record, begin, normal, e1, e2);
     real x, y;
-    solid_angle = sample_view(&view, along, v, &x, &y);
+    solid_angle = sample_view(&view, chosen, v, &x, &y);
     /* In the light's frame: what a huge light's corners would round away is kept. */
     const real height = dot_triple(begin, normal);
     to.x = SELECT(to.x, x * e1.x + y * e2.x + height * normal.x, large);
@@ -294,7 +247,12 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   const real inverse = rsqrt(squared);
   const real emitted = -(normal.x * to.x + normal.y * to.y + normal.z * to.z) * inverse;
   const real facing = SELECT(emitted, fabs(emitted), light_number(lights, record, LIGHT_TWO_SIDED) > 0.0f);
-  const real by_area = facing * inverse * inverse * light_number(lights, record, LIGHT_AREA);
+#if HAS_SHAPES
+  const real area = light_number(lights, record, LIGHT_AREA) * chord_weight(shape, part);
+#else
+  const real area = light_number(lights, record, LIGHT_AREA);
+#endif
+  const real by_area = facing * inverse * inverse * area;
   const real stands_for = SELECT(by_area, solid_angle, large);
   LightSample found;
   found.lit = facing > 0.0f;
@@ -310,6 +268,27 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   found.segment.x = to.x + side * normal.x - (origin.x - position.x);
   found.segment.y = to.y + side * normal.y - (origin.y - position.y);
   found.segment.z = to.z + side * normal.z - (origin.z - position.z);
+#if HAS_BALLS
+  const whole ball = shape == (float)SHAPE_BALL;
+  if (ANY(ball)) {
+    real cone, distance;
+    whole outside;
+    const triple towards = sample_ball(begin, light_number(lights, record, LIGHT_LENGTH),
+                                       light_number(lights, record, LIGHT_WIDTH), chosen, v, &cone, &distance, &outside);
+    const real sent = beam_share(lights, record, towards);
+    const real reach = max(distance - ball_offset(lights, record, position), 0.5f * distance);
+    for (int channel = 0; channel < 3; ++channel) {
+      const real radiance = sent * cone * (light_number(lights, record, LIGHT_RADIANCE + channel) / width);
+      found.radiance[channel] = SELECT(found.radiance[channel], radiance, ball);
+    }
+    found.density = SELECT(found.density, width / max(cone, (real)1e-30f), ball);
+    found.lit = SELECT(found.lit, outside && (sent > 0.0f), ball);
+    found.towards = select_triple(found.towards, towards, ball);
+    const triple end = {FMA(reach, towards.x, position.x - origin.x), FMA(reach, towards.y, position.y - origin.y),
+                        FMA(reach, towards.z, position.z - origin.z)};
+    found.segment = select_triple(found.segment, end, ball);
+  }
+#endif
   return found;
 #endif
 }
@@ -325,22 +304,52 @@ real light_stands_for(global const float *restrict lights, const whole record, c
   const triple middle = {FMA((real)0.5f, edge1.x + edge2.x, begin.x), FMA((real)0.5f, edge1.y + edge2.y, begin.y),
                          FMA((real)0.5f, edge1.z + edge2.z, begin.z)};
   const real squared = dot_triple(segment, segment);
-  real stands_for = facing / squared * light_number(lights, record, LIGHT_AREA);
+#if HAS_SHAPES
+  const triple over = light_triple(lights, record, LIGHT_ACROSS);
+  const real at = clamp((dot_triple(segment, over) - dot_triple(begin, over)) / light_number(lights, record, LIGHT_WIDTH),
+                        (real)0.0f, (real)1.0f);
+  const real shape = light_number(lights, record, LIGHT_SHAPE);
+  real start;
+  const real area = light_number(lights, record, LIGHT_AREA) * chord_weight(shape, line_part(shape, at, &start));
+#else
+  const real area = light_number(lights, record, LIGHT_AREA);
+#endif
+  real stands_for = facing / squared * area;
   const whole large = dot_triple(middle, middle) < light_number(lights, record, LIGHT_LARGE);
   if (ANY(large)) {
     const triple along = light_triple(lights, record, LIGHT_ALONG);
     const triple across = light_triple(lights, record, LIGHT_ACROSS);
     const LightView view = light_view(lights, record, begin, light_triple(lights, record, LIGHT_NORMAL), across, along);
     const real x = dot_triple(segment, across);
-    const LightLine line = light_line(&view, x, FMA(x - view.x0, view.slope, view.y0));
-    stands_for = SELECT(stands_for, view_angle(&view) * line.range, large);
+    real length;
+    const real y = line_of_light(&view, x, &length);
+    const LightLine line = light_line(&view, x, y, length);
+    const real angle = view_angle(&view);
+#if HAS_SHAPES
+    const real by_angle = angle * line.range / max(tip_density(&view, x, angle), (real)1e-7f);
+#else
+    const real by_angle = angle * line.range;
+#endif
+    stands_for = SELECT(stands_for, by_angle, large);
   }
+#if HAS_BALLS
+  /* Nothing else than the cone's directions are sampled; what is outside of it has no density. */
+  whole outside;
+  const real away2 = dot_triple(begin, begin);
+  const real cap = ball_cap(away2, light_number(lights, record, LIGHT_LENGTH), &outside);
+  const real cosine = dot_triple(segment, begin) * rsqrt(max(squared * away2, (real)1e-30f));
+  const real cone = SELECT((real)1e30f, 2.0f * M_PI_F * cap, outside && (1.0f - cosine <= cap));
+  stands_for = SELECT(stands_for, cone, shape == (float)SHAPE_BALL);
+#endif
   return stands_for;
 }
 
 /* How wide the strips of several records are in their rows. */
 real strip_width(global const float *restrict lights, const whole strips, const whole record) {
-#if LIGHT_COUNT > 1
+#if HAS_CLUSTERS
+  const whole own = STRIP_FLOATS * TO_WHOLE(gather(lights, record + LIGHT_STRIP));
+  return gather(lights, strips + STRIP_STEPS + STRIP_WIDTH + own) * gather(lights, record + LIGHT_PART + 1);
+#elif LIGHT_COUNT > 1
   return gather(lights, strips + STRIP_STEPS + STRIP_WIDTH + record / (LIGHT_FLOATS / STRIP_FLOATS));
 #else
   (void)lights;

@@ -64,14 +64,68 @@ void guess_places(global const float *restrict lights, const whole record, const
   const real x = clamp(dot_triple(met, gather_triple(lights, record + LIGHT_ACROSS)), (real)0.0f, width);
   const real y = dot_triple(met, gather_triple(lights, record + LIGHT_ALONG)) - x * gather(lights, record + LIGHT_SLOPE);
   const real a = x / width;
+#if HAS_SHAPES
+  const real shape = gather(lights, record + LIGHT_SHAPE);
+  real start;
+  const real part = line_part(shape, a, &start);
+  const real b = clamp(y / length, start, start + part);
+#else
   const real b = clamp(y, (real)0.0f, length) / length;
+#endif
   *nearest = (triple){FMA(a, edge1.x, FMA(b, edge2.x, begin.x)), FMA(a, edge1.y, FMA(b, edge2.y, begin.y)),
                       FMA(a, edge1.z, FMA(b, edge2.z, begin.z))};
+#if HAS_BALLS
+  /* Where the direction passes a ball, or the ball's point that is nearest to it. */
+  const real ahead = max(dot_triple(begin, direction), (real)0.0f);
+  const triple beside = {FMA(ahead, direction.x, -begin.x), FMA(ahead, direction.y, -begin.y),
+                         FMA(ahead, direction.z, -begin.z)};
+  const real aside = sqrt(dot_triple(beside, beside));
+  const real inward = min(length / max(aside, (real)1e-30f), (real)1.0f);
+  const triple on_ball = {FMA(inward, beside.x, begin.x), FMA(inward, beside.y, begin.y), FMA(inward, beside.z, begin.z)};
+  *nearest = select_triple(*nearest, on_ball, shape == (float)SHAPE_BALL);
+#endif
+}
+
+#if HAS_ENVIRONMENT
+/* What a direction of the environment brings, had all directions above the surface as much. */
+LightGuess guess_environment(global const float *restrict lights, const whole strips, const Scatterer *s,
+                             const triple towards) {
+  const SkySeen seen = sky_seen(lights, strips, towards, (whole)NO_STRIP);
+  LightGuess guess;
+  guess.solid_angle = (real)(2.0f * M_PI_F);
+  guess.light = seen.density;
+  guess.lobe = lobe_density(s, towards);
+  real f_r[3];
+  scattering(s, towards, f_r);
+  guess.amount = (f_r[0] * seen.radiance.x + f_r[1] * seen.radiance.y + f_r[2] * seen.radiance.z) *
+                 max(dot_triple(s->normal, towards), (real)0.0f);
+  return guess;
+}
+#endif
+
+/* Adds to the second moments by each share what lanes of lights that are `here` make of them. */
+void add_moments(const Scatterer *s, const LightGuess *peak, const LightGuess *rest, const whole here,
+                 float moment[LOBE_SHARE_COUNT]) {
+  const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
+  /* A region of about the lobe's density where it is largest, had it the middle there or its tail. */
+  const real alpha = s->roughness * s->roughness;
+  const real region = min(alpha * sqrt(4.0f * M_PI_F / max(peak->lobe, (real)1e-30f)), peak->solid_angle);
+  const real left = max(rest->solid_angle - region, (real)0.0f);
+  const real of_peak = region * peak->amount * peak->amount;
+  const real of_rest = left * rest->amount * rest->amount;
+  for (uint k = 0; k < LOBE_SHARE_COUNT; ++k) {
+    const float share = shares[k];
+    const real density = FMA((real)share, peak->lobe, (1.0f - share) * peak->light);
+    const real density_rest = FMA((real)share, rest->lobe, (1.0f - share) * rest->light);
+    moment[k] += sum_lanes(SELECT((real)0.0f, of_peak / max(density, (real)1e-30f) +
+                                                  of_rest / max(density_rest, (real)1e-30f), here));
+  }
 }
 
 /* The lobe's share of the point's square; lights in lanes. */
 float lobe_share_of_square(global const float *restrict lights, const whole strips, const ShadingPoint *p) {
   const float shares[LOBE_SHARE_COUNT] = {LOBE_SHARES};
+  const real part = lights_share(lights, strips);
   const Scatterer surface = scatterer_of(p);
   const Scatterer *s = &surface;
   const real twice = 2.0f * dot_triple(s->normal, s->outgoing);
@@ -84,27 +138,21 @@ float lobe_share_of_square(global const float *restrict lights, const whole stri
   for (uint first = 0; first < LIGHT_COUNT; first += VEC) {
     const whole light = min(TO_WHOLE(LANE_NUMBER) + (int)first, (whole)(LIGHT_COUNT - 1));
     const whole record = light * LIGHT_FLOATS;
-    const real width = strip_width(lights, strips, record);
+    const real width = part * strip_width(lights, strips, record);
     const whole here = (TO_WHOLE(LANE_NUMBER) + (int)first < LIGHT_COUNT) && (width > 0.0f);
     triple middle, nearest;
     guess_places(lights, record, position, mirrored, &middle, &nearest);
     const LightGuess rest = guess_light(lights, record, width, s, position, middle);
     const LightGuess peak = guess_light(lights, record, width, s, position, nearest);
     needed = needed || ANY(here && (peak.lobe > LOBE_NEED * peak.light));
-    /* A region of about the lobe's density where it is largest, had it the middle there or its tail. */
-    const real alpha = s->roughness * s->roughness;
-    const real region = min(alpha * sqrt(4.0f * M_PI_F / max(peak.lobe, (real)1e-30f)), peak.solid_angle);
-    const real left = max(rest.solid_angle - region, (real)0.0f);
-    const real of_peak = region * peak.amount * peak.amount;
-    const real of_rest = left * rest.amount * rest.amount;
-    for (uint k = 0; k < LOBE_SHARE_COUNT; ++k) {
-      const float share = shares[k];
-      const real density = FMA((real)share, peak.lobe, (1.0f - share) * peak.light);
-      const real density_rest = FMA((real)share, rest.lobe, (1.0f - share) * rest.light);
-      moment[k] += sum_lanes(SELECT((real)0.0f, of_peak / max(density, (real)1e-30f) +
-                                                    of_rest / max(density_rest, (real)1e-30f), here));
-    }
+    add_moments(s, &peak, &rest, here, moment);
   }
+#if HAS_ENVIRONMENT
+  const LightGuess above = guess_environment(lights, strips, s, s->normal);
+  const LightGuess ahead = guess_environment(lights, strips, s, mirrored);
+  needed = needed || ANY((ahead.amount > 0.0f) && (ahead.lobe > LOBE_NEED * ahead.light));
+  add_moments(s, &ahead, &above, LANE_NUMBER < (bits)1u, moment);
+#endif
   uint best = 0;
   float least = needed && shares[0] == 0.0f ? INFINITY : moment[0];
   for (uint k = 1; k < LOBE_SHARE_COUNT; ++k)
@@ -138,11 +186,27 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
     const triple normal = to_triple(vload3(0, record + LIGHT_NORMAL));
     const triple along = to_triple(vload3(0, record + LIGHT_ALONG));
     const triple across = to_triple(vload3(0, record + LIGHT_ACROSS));
-    const real t = dot_triple(begin, normal) / dot_triple(direction, normal);
+    real t = dot_triple(begin, normal) / dot_triple(direction, normal);
     const triple met = {FMA(t, direction.x, -begin.x), FMA(t, direction.y, -begin.y), FMA(t, direction.z, -begin.z)};
     const real x = dot_triple(met, across);
     const real y = dot_triple(met, along) - x * record[LIGHT_SLOPE];
+#if HAS_SHAPES
+    const float shape = record[LIGHT_SHAPE];
+    real start;
+    const real part = line_part((real)shape, clamp(x / record[LIGHT_WIDTH], (real)0.0f, (real)1.0f), &start);
+    const real high = record[LIGHT_LENGTH] * (start + part);
+    whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= record[LIGHT_LENGTH] * start) && (y <= high);
+#if HAS_BALLS
+    real entered;
+    const whole meets = meet_ball(begin, direction, record[LIGHT_LENGTH], &entered);
+    if (shape == (float)SHAPE_BALL) {
+      inside = meets;
+      t = entered;
+    }
+#endif
+#else
     const whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= 0.0f) && (y <= record[LIGHT_LENGTH]);
+#endif
     const whole here = (t > 0.0f) && (t < nearest) && inside;
     nearest = SELECT(nearest, t, here);
     found = SELECT(found, (whole)light, here);
@@ -154,7 +218,7 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   const real facing = SELECT(emitted, fabs(emitted), gather(lights, record + LIGHT_TWO_SIDED) > 0.0f);
   LightSample sample;
   sample.lit = (found >= 0) && (facing > 0.0f);
-  const real distance = SELECT((real)1.0f, nearest, sample.lit);
+  const real distance = SELECT((real)1.0f, nearest, found >= 0);
   const triple to = {distance * direction.x, distance * direction.y, distance * direction.z};
   const real stands_for = light_stands_for(lights, record, position, to, max(facing, (real)1e-20f));
   sample.density = strip_width(lights, strips, record) / max(stands_for, (real)1e-30f);
@@ -167,11 +231,38 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
   const real side = SELECT(-offset, offset, emitted > 0.0f);
   sample.segment = (triple){to.x + side * normal.x - (origin.x - position.x), to.y + side * normal.y - (origin.y - position.y),
                             to.z + side * normal.z - (origin.z - position.z)};
+#if HAS_BALLS
+  const whole ball = gather(lights, record + LIGHT_SHAPE) == (float)SHAPE_BALL;
+  const triple corner = gather_triple(lights, record + LIGHT_CORNER);
+  const triple centre = {corner.x - position.x, corner.y - position.y, corner.z - position.z};
+  real entered;
+  const whole meets = meet_ball(centre, direction, gather(lights, record + LIGHT_WIDTH), &entered);
+  const real reach = max(entered - ball_offset(lights, record, position), 0.5f * entered);
+  const triple end = {FMA(reach, direction.x, position.x - origin.x), FMA(reach, direction.y, position.y - origin.y),
+                      FMA(reach, direction.z, position.z - origin.z)};
+  sample.segment = select_triple(sample.segment, end, ball);
+  sample.lit = SELECT(sample.lit, (found >= 0) && meets, ball);
+  const real sent = SELECT((real)1.0f, beam_share(lights, record, direction), ball);
+  for (int channel = 0; channel < CHANNELS; ++channel) sample.radiance[channel] *= sent;
+#endif
   return sample;
 }
 
-triple select_triple(const triple a, const triple b, const whole condition) {
-  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
+/* As lights_met; where no light is met, the environment. */
+LightSample emitters_met(global const float *restrict lights, const whole strips, const triple position,
+                         const triple origin, const triple direction) {
+  LightSample met = lights_met(lights, strips, position, origin, direction);
+#if HAS_ENVIRONMENT
+  const whole outside = !met.lit;
+  const SkySeen seen = sky_seen(lights, strips, direction, (whole)NO_STRIP);
+  met.radiance[0] = SELECT(met.radiance[0], seen.radiance.x, outside);
+  met.radiance[1] = SELECT(met.radiance[1], seen.radiance.y, outside);
+  met.radiance[2] = SELECT(met.radiance[2], seen.radiance.z, outside);
+  met.density = SELECT(met.density * lights_share(lights, strips), seen.density, outside);
+  met.segment = select_triple(met.segment, out_of_scene(lights, position, direction), outside);
+  met.lit = met.lit || (seen.density > 0.0f);
+#endif
+  return met;
 }
 
 /* The lights' u of a sample past the lobe's share of the square. */
@@ -186,10 +277,10 @@ LightSample sample_lights_and_lobe(global const float *restrict lights, const Sh
   const triple position = to_triple(p->position);
   const triple origin = to_triple(ray_origin(p));
   const float share = p->lobe_share;
-  if (!(share > 0.0f)) return sample_lights(lights, strips, position, origin, u, v);
+  if (!(share > 0.0f)) return sample_emitters(lights, strips, position, origin, u, v);
   const whole in_lobe = u < share;
-  LightSample sample = sample_lights(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
-  const LightSample met = lights_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
+  LightSample sample = sample_emitters(lights, strips, position, origin, SELECT(past_lobe(share, u), u, in_lobe), v);
+  const LightSample met = emitters_met(lights, strips, position, origin, sample_lobe(s, u / share, v));
   sample.lit = SELECT(sample.lit, met.lit, in_lobe);
   sample.density = SELECT(sample.density, met.density, in_lobe);
   sample.towards = select_triple(sample.towards, met.towards, in_lobe);

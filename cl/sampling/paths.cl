@@ -48,17 +48,25 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   ray.direction = sample_scattering(&s, LOAD(u + at), LOAD(v + at));
   const real density = scattering_density(&s, ray.direction);
   ray.throughput = bounce_throughput(&s, to_triple(p.geometric_normal), ray.direction, density);
-  /* Matte surfaces have found the lights by their points alone. */
-#if DIRECT
+  /* Matte surfaces have found the lights by their points alone, but for scenes with an environment (gi.cl). */
+#if DIRECT && HAS_ENVIRONMENT
+  ray.density = density;
+#elif DIRECT
   ray.density = SELECT((real)0.0f, density, is_shiny(&s));
 #else
   ray.density = (real)0.0f;
 #endif
   ray.path = LANE_NUMBER + (uint)at;
   ray.strips = strips_at(lights, &p);
+#if HAS_PANES
+  ray.behind = ray.passed = (real)0.0f;
+#endif
+#if HAS_GLASS
+  if (p.eta != 0.0f) enter_glass(&s, &p, LOAD(u + at), LOAD(v + at), &ray);
+#endif
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
-  /* Without emissive surfaces a path of depth 2 can only bring light if its ray may find a light. */
-  const uint last_of_use = HAS_EMISSION ? 1u : 2u;
+  /* Without surfaces whose emission paths alone find, one of depth 2 can only bring light if its ray may find a light. */
+  const uint last_of_use = HAS_HIDDEN_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
   append_rays(&ray, alive, 0, plane, wave);
 }
@@ -82,7 +90,8 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
 
 /* Rays of `bounce` (the first is 1) and their hits. */
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
-                       const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
+                       const uint first_point, const uint first_id, const uint first_sample, const uint stride,
+                       const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, const uint places,
                        global const uint *restrict order, global const float *restrict triangles,
                        global const uint *restrict textures, global const half *restrict texels,
@@ -114,38 +123,83 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole met = hit.triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
+#if HAS_PANES
+  const real behind = LOAD(PLANE(wave, WAVE_BEHIND) + first);
+  const real passed = SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_PASSED) + first), here);
+#endif
   /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
     const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if LIGHT_COUNT > 1
+#if HAS_ROWS
     /* Lanes past the last ray hold anything. */
     const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
 #else
     const whole left = all_strips(lights);
 #endif
+#if HAS_PANES
+    const triple found = light_met(lights, left, light, sum_of(origin, direction, -behind), direction,
+                                   hit.distance + behind, density);
+#else
     const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
+#endif
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
-  const whole on_surface = met && (light < 0);
+#if HAS_ENVIRONMENT
+  /* So does leaving the scene. */
+  const whole outside = here && !met;
+  if (ANY(outside)) {
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), outside);
+    const triple found = sky_met(lights, left, direction, LOAD(PLANE(wave, WAVE_DENSITY) + first));
+    brought = sum_where(brought, product(ray.throughput, found), outside);
+  }
+#endif
+  whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
   load_hit(triangles, textures, texels, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position,
            &geometric_normal, &s);
 #if HAS_EMISSION
-  const triple emitted = emission_at(triangles, textures, texels, at, hit.u, hit.v);
+  triple emitted = emission_at(triangles, textures, texels, at, hit.u, hit.v);
+#if HAS_SAMPLED_EMISSION
+  /* A surface that is sampled as a light, too: -2 less its number. */
+  const whole sampled = on_surface && (light < -1);
+  if (ANY(sampled)) {
+    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
+#if HAS_ROWS
+    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), sampled);
+#else
+    const whole left = all_strips(lights);
+#endif
+    const whole record = LIGHT_FLOATS * max(-2 - light, (whole)0);
+    const real weight = light_weight(lights, left, record, origin, direction, hit.distance, density);
+    emitted = scaled(emitted, SELECT((real)1.0f, weight, sampled));
+  }
+#endif
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
+#if HAS_PANES
+  /* Panes that a path went through are no part of its depth. */
+  const whole depth = TO_WHOLE((real)bounce - passed) + 2;
+  const whole is_lit = depth <= (int)max_depth;
+  on_surface = on_surface && (is_lit || (s.eta < 0.0f));
+  if (!ANY(on_surface)) {
+#else
   if (bounce + 2 > max_depth) {
+#endif
     add_radiance(brought, ray.path, largest_of(brought) > 0.0f, radiance);
     return;
   }
   whole both_ways = on_surface;
-  /* A last ray can only find an area light, and is traced only if the surface has a lobe: other surfaces
+  /* A last ray can only find a light that is sampled, and is traced only if the surface has a lobe: other surfaces
    * find these lights by their points alone. */
-  const uint reach = HAS_EMISSION ? bounce + 2 : bounce + 3;
+#if HAS_PANES
+  both_ways = both_ways && ((depth + (HAS_HIDDEN_EMISSION ? 0 : 1) <= (int)max_depth) || is_shiny(&s));
+#else
+  const uint reach = HAS_HIDDEN_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
+#endif
   /* As surface_offset. */
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
   const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
@@ -163,18 +217,23 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const bits index = place - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
   real coordinates[5];
-  sample_nested(point + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
+  sample_nested(point + first_id + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
-      sample_lights(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
+      sample_emitters(lights, ray.strips, position, ray.origin, coordinates[0], coordinates[1]);
   const real cosine = dot_triple(s.normal, found.towards);
   const whole lit =
       on_surface && found.lit && (cosine > 0.0f) && (dot_triple(geometric_normal, found.towards) > 0.0f);
   real f_r[3];
   scattering(&s, found.towards, f_r);
   const real weight = found.density / (found.density + scattering_density(&s, found.towards));
+#if HAS_GLASS
+  const real of_glass = glass_light_weight(&s, found.towards, found.density, 0);
+  const real scale = cosine * SELECT(SELECT((real)1.0f, weight, both_ways), of_glass, is_glass(&s));
+#else
   const real scale = cosine * SELECT((real)1.0f, weight, both_ways);
+#endif
   Ray shadow;
   shadow.origin = ray.origin;
   shadow.direction = found.segment;
@@ -214,6 +273,15 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #else
   (void)guide_place;
 #endif
+#if HAS_PANES
+  Ray before = ray;
+  before.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
+#if HAS_ROWS
+  before.strips = AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first));
+#endif
+  before.behind = behind + hit.distance;
+  before.passed = passed;
+#endif
   const uint branches = bounce == 1 ? BRANCHES : 1;
   const float share = 1.0f / (float)branches;
   for (uint branch = 0; branch < branches; ++branch) {
@@ -223,8 +291,17 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     Ray next = ray;
     next.path += branch * places;
     next.throughput = scaled(ray.throughput, (real)share);
+#if HAS_PANES
+    const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
+                                 on_surface && both_ways, &next, &brought) &&
+                        past_panes(&s, &before, is_lit, geometric_normal, &next);
+#else
     const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
                                  on_surface && both_ways, &next, &brought);
+#endif
+#if HAS_GLASS
+    next.origin = leaving_from(position, geometric_normal, offset, next.direction);
+#endif
     append_rays(&next, alive, 0, next_plane, next_wave);
   }
   /* What roulette is expected to find may be negative. */

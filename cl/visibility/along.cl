@@ -28,11 +28,11 @@ real sine_between(const real squared, const real y0, const real y1) {
 
 /* The v below which a share y of what is free lies; returns its length, as v measures it. */
 real place_in_gaps(const LightLines *lines, const Block *block, const real y, real *v) {
-  const LightView *view = &lines->view;
+  const real z = lines->view.z;
   const Gaps *gaps = &block->gaps;
   const real begin = block->begin;
-  const real squared = FMA(block->x, block->x, view->z * view->z);
-  const real whole_line = lines->large ? sine_between(squared, begin, begin + view->length) : view->length;
+  const real squared = FMA(block->x, block->x, z * z);
+  const real whole_line = lines->large ? sine_between(squared, begin, begin + block->length) : block->length;
   /* A line in whose plane the point lies has no length, and no part of it is free. */
   const real inverse = 1.0f / max(whole_line, (real)1e-30f);
   real start[MOST_GAPS], length[MOST_GAPS];

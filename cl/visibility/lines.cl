@@ -187,7 +187,7 @@ whole blocked_parts(const LightLines *lines, const triple corner[3], float parts
 
 /* VEC lines of one light, and what is free of them so far. */
 typedef struct {
-  real x, begin, sliver;
+  real x, begin, length, sliver;
   Gaps gaps;
   Extent open; /* about all gaps, empty if there is none */
 } Block;
@@ -212,12 +212,18 @@ void narrow_block(Block *block) {
 /* The lines of `here` whole, down to the surface's horizon. */
 void begin_block(const LightLines *lines, const real along, const whole here, Block *block) {
   const LightView *view = &lines->view;
-  const real x = lines->large ? view_x(view, along, view_angle(view)) : FMA(along, view->width, view->x0);
+#if HAS_SHAPES
+  real density;
+  const real share = toward_tip(view->shape, along, &density);
+#else
+  const real share = along;
+#endif
+  const real x = lines->large ? view_x(view, share, view_angle(view)) : FMA(share, view->width, view->x0);
   block->x = x;
-  block->begin = FMA(x - view->x0, view->slope, view->y0);
-  block->sliver = SLIVER * min(view->length, sqrt(FMA(x, x, view->z * view->z)));
+  block->begin = line_of_light(view, x, &block->length);
+  block->sliver = SLIVER * min(block->length, sqrt(FMA(x, x, view->z * view->z)));
   real low = block->begin;
-  real high = block->begin + view->length;
+  real high = block->begin + block->length;
   for (int k = 0; k < 2; ++k) {
     low = max(low, FMA(lines->horizon[k][1], x, lines->horizon[k][0]));
     high = min(high, FMA(lines->horizon[k][3], x, lines->horizon[k][2]));

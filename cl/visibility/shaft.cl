@@ -49,9 +49,16 @@ void shaft_planes(const ShadingPoint *p, global const float *restrict light, con
   float3 corner[4];
   corner[0] = vload3(0, light + LIGHT_CORNER) - origin + offset * ends;
   corner[1] = corner[0] + edge1;
+#if HAS_SHAPES
+  /* A triangle's third side has no plane; discs have those of the square about them. */
+  corner[2] = light[LIGHT_SHAPE] == (float)SHAPE_TRIANGLE ? corner[1] : corner[1] + edge2;
+  corner[3] = corner[0] + edge2;
+  const float3 centre = corner[0] + corner[2] + corner[3];
+#else
   corner[2] = corner[1] + edge2;
   corner[3] = corner[0] + edge2;
   const float3 centre = corner[0] + corner[2];
+#endif
   for (int side = 0; side < 4; ++side) {
     const float3 across = cross(corner[side], corner[(side + 1) & 3]);
     const float length2 = dot(across, across);

@@ -14,7 +14,7 @@ from ..sensing.bake import bake
 from ..sensing.point_estimate import POINT_GROUPS
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
-from .common import Help, add_common, add_scene, load, write_json
+from .common import Help, add_common, add_scene, load, workers, write_json
 
 
 def add_bake(commands: argparse._SubParsersAction) -> None:
@@ -52,13 +52,14 @@ def _bake(options: argparse.Namespace) -> int:
         integrand = AmbientOcclusion(options.radius)
     chosen = [read_arguments(options, GROUPS[name]) for name in POINT_GROUPS]
     names = ("size", "samples", "padding", "method", "spp", "seed", "device", "target_error")
-    with StopOnSignal() as stop:
+    with workers(options) as executor, StopOnSignal() as stop:
         image = bake(
             load(options),
             read_uv_mesh(options.mesh),
             integrand=integrand,
             progress=True,
             stop=stop,
+            executor=executor,
             **{name: getattr(options, name) for name in names},
             **{name: value for group in chosen for name, value in group.items()},
         )

@@ -13,7 +13,7 @@ from ..sensing.point_estimate import POINT_GROUPS
 from ..sensing.sense import ambient_occlusion, irradiance
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
-from .common import Help, add_common, add_scene, load, write_json
+from .common import Help, add_common, add_scene, load, workers, write_json
 
 
 def add_sense(commands: argparse._SubParsersAction) -> None:
@@ -57,13 +57,14 @@ def _sense(options: argparse.Namespace) -> int:
         own["radius"] = options.radius
     chosen = [read_arguments(options, GROUPS[name]) for name in POINT_GROUPS]
     names = ("method", "spp", "seed", "device", "target_error")
-    with StopOnSignal() as stop:
+    with workers(options) as executor, StopOnSignal() as stop:
         found = (ambient_occlusion if options.integrand == AmbientOcclusion.name else irradiance)(
             load(options),
             points[:, :3],
             points[:, 3:],
             progress=True,
             stop=stop,
+            executor=executor,
             **own,
             **{name: getattr(options, name) for name in names},
             **{name: value for group in chosen for name, value in group.items()},

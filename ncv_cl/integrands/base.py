@@ -14,6 +14,8 @@ from ..host.files import some_of
 from ..opencl.program import KernelFile, KernelText, kernel_files, source
 from ..points.points import INPUTS, ShadingPoints, surface_defines
 from ..scene.load import Scene
+from .light_sources import light_sources
+from .lights import LIGHT_FILES
 
 # Numbers of channels that an integrand may have.
 CHANNELS = (1, 3)
@@ -90,7 +92,10 @@ class Integrand:
         IntegrandError
             If one of them cannot be read.
         """
-        return tuple(self._kernel(file) for file in self.files)
+        # What lights.cl builds upon comes with it.
+        pairs = [LIGHT_FILES if file == LIGHT_FILES[-1] else (file,) for file in self.files]
+        names = dict.fromkeys(file for pair in pairs for file in pair)
+        return tuple(self._kernel(file) for file in names)
 
     @property
     def options(self) -> dict[str, object]:
@@ -130,8 +135,9 @@ class Integrand:
             )
         if taken := sorted(TAKEN & set(defines)):
             raise IntegrandError(f"{own}.defines: the name {taken[0]} is taken, choose another")
-        largest = [float(np.max(light.radiance)) * light.area for light in scene.lights]
-        finite = np.isfinite(data).all() and np.isfinite(np.array(largest, np.float32)).all()
+        lights = light_sources(scene).lights
+        largest = lights.radiance.max(axis=1, initial=0.0) * lights.area
+        finite = np.isfinite(data).all() and np.isfinite(largest.astype(np.float32)).all()
         if "LIGHT_COUNT" in defines and not finite:
             raise IntegrandError(
                 f"{scene.name}: the radiance of a light times its area is beyond float32: scale it down"
@@ -223,6 +229,16 @@ class Integrand:
         """
         return None
 
+    def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
+        """What to warn of that the integrand leaves out of what the camera sees; None: nothing.
+
+        Parameters
+        ----------
+        material : ndarray
+            int32 (points,), index of each point's material.
+        """
+        return None
+
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Radiance that points on lights emit, which is added to the pixels, float32 (points, 3).
 
@@ -234,6 +250,21 @@ class Integrand:
             float32 (3, points), unit directions towards the viewer.
         """
         return np.zeros((len(light), 3), np.float32)
+
+    def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
+        """Radiance that pixels show where the camera sees nothing of the scene, float64 (n, 3).
+
+        Parameters
+        ----------
+        directions : ndarray
+            float64 (n, 3), unit directions that the camera looks in.
+
+        Returns
+        -------
+        ndarray, optional
+            None where that is black.
+        """
+        return None
 
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         """Radiance that surfaces emit, which is added to the pixels, float32 (points, 3).

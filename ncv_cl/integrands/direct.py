@@ -1,25 +1,29 @@
-"""Direct light from quad area lights."""
+"""Direct light: from lights, from surfaces that emit, and from outside of the scene."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..points.points import ShadingPoints
-from ..scene.load import QuadLight, Scene
+from ..scene.geometry import SMALLEST_ROUGHNESS
+from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
-from .lights import emitted_by_lights, light_defines, light_records
+from .environment import environment_dark, environment_seen, has_environment
+from .light_sources import emissions, hidden_materials, light_sources
+from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
 
 class DirectLight(Integrand):
-    """F(p) = ∫ f_r L_e G V dA over the surfaces of all area lights, RGB.
+    """F(p) = ∫ f_r L_e G V dA over all lights and surfaces that emit, and ∫ f_r L V cos dω outside, RGB.
 
-    (u, v) is a point on a light as it is seen from p (lights.cl). Several lights share the unit square
+    (u, v) is a point on a light as it is seen from p (lights.cl), or a direction of the environment
+    (environment.cl). Several lights share the unit square
     as strips in u, see `lights.light_rows`, so the integral stays two-dimensional.
     """
 
     name = "direct"
-    files = ("bsdf", "bounce", "lights", "lobe", "direct")
+    files = ("bsdf", "bounce", *LIGHT_FILES, "environment", "lobe", "direct")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = True
@@ -57,47 +61,68 @@ class DirectLight(Integrand):
         heights = [(normal * position).sum(axis=0) for normal in normals]
         # Most points are lit by the first lights, and need not be asked about the others.
         dark = np.arange(position.shape[1])
-        for light in scene.lights:
-            corners = _corners(light)
+        lights = light_sources(scene).lights.bounds()
+        corners = lights.corners
+        for light in range(lights.strips):
             below = np.zeros(len(dark), bool)
             for normal, height in zip(normals, heights, strict=True):
-                below |= (corners @ normal[:, dark]).max(axis=0) <= height[dark]
-            if not light.two_sided:
-                side = np.asarray(light.normal, np.float64)
-                below |= side @ position[:, dark] <= side @ np.asarray(light.corner, np.float64)
+                highest = (corners[:, light] @ normal[:, dark]).max(axis=0) + lights.reach[light]
+                below |= highest <= height[dark]
+            if not lights.two_sided[light]:
+                side = lights.normal[light]
+                below |= side @ position[:, dark] <= side @ lights.corner[light]
             dark = dark[below]
+        if has_environment(scene):
+            below = [environment_dark(scene, normal[:, dark]) for normal in normals]
+            dark = dark[below[0] | below[1]]
         return np.isin(np.arange(position.shape[1]), dark)
+
+    def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
+        return environment_seen(scene, directions)
 
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return emitted_by_lights(scene, light, outgoing)
 
+    def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
+        return emissions(scene)[material]
+
+    def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
+        seen = np.unique(material)
+        names = [scene.materials[one].name for one in seen if scene.materials[one].is_glass]
+        if not names:
+            return None
+        return (
+            f"{scene.name}: direct light shows of glass only the lights that it reflects, it is black "
+            f"otherwise ({', '.join(names)}); what is seen through it needs integrand gi"
+        )
+
     def _check_lights(self, scene: Scene) -> None:
-        if not scene.lights:
+        hidden = np.flatnonzero(hidden_materials(scene))
+        if len(hidden) and not self._part:
             raise IntegrandError(
-                f"{scene.name} has no light, so direct light is zero everywhere: "
-                "add a [[lights]] entry to the scene, or render ambient occlusion"
+                f"{scene.name}: the emission of material {scene.materials[hidden[0]].name!r} has a "
+                "texture or holes, so only paths find it: render integrand gi, or leave it out "
+                '(lights = "ignore", if a mesh file has it)'
             )
-        for material in scene.materials:
-            if material.emission.any() and not self._part:
-                raise IntegrandError(
-                    f"{scene.name}: material {material.name!r} emits, but direct light is that of "
-                    "[[lights]] only: render integrand gi, which finds it, or take its emission away "
-                    "(if a mesh file has it: give the mesh a material of the scene)"
-                )
+        if not len(light_sources(scene).lights.strip) and not has_environment(scene):
+            raise IntegrandError(
+                f"{scene.name} has no light, so direct light is zero everywhere: add a [[lights]] entry "
+                "or an [environment] to the scene or give a material an emission, or render ambient "
+                "occlusion"
+            )
 
 
 class DirectPart(DirectLight):
-    """Direct light of area lights as a part of global illumination; surfaces may emit as well."""
+    """Direct light as a part of global illumination; paths may find more."""
 
     _part = True
 
 
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
-    return {"HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials))}
-
-
-def _corners(light: QuadLight) -> np.ndarray:
-    """float64 (4, 3)."""
-    corner, edge1, edge2 = (np.asarray(a, np.float64) for a in (light.corner, light.edge1, light.edge2))
-    return np.stack([corner, corner + edge1, corner + edge2, corner + edge1 + edge2])
+    return {
+        "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),
+        "HAS_GLASS": int(scene.has_glass),
+        # What is smooth is not rough by a rounding.
+        "SMOOTH_GLASS": f"{SMALLEST_ROUGHNESS * (1 + 1e-6)!r}f",
+    }

@@ -7,7 +7,9 @@ import numpy as np
 from ..scene.load import Scene
 from .base import Integrand, IntegrandError
 from .direct import DirectPart, scattering_defines
-from .lights import emitted_by_lights, light_defines, light_records
+from .environment import environment_seen, has_environment
+from .light_sources import emissions, hidden_materials, light_sources
+from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
 
 class GlobalIllumination(Integrand):
@@ -32,7 +34,7 @@ class GlobalIllumination(Integrand):
     """
 
     name = "gi"
-    files = ("bsdf", "bounce", "lights", "gi")
+    files = ("bsdf", "bounce", "dielectric", *LIGHT_FILES, "environment", "gi")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = False
@@ -61,8 +63,9 @@ class GlobalIllumination(Integrand):
         return self.direct
 
     def apart(self, scene: Scene) -> tuple[Integrand, Integrand] | None:
-        only_direct = self.max_depth == 2 and not emissions(scene).any()
-        if not self.direct or not scene.lights or only_direct:
+        only_direct = self.max_depth == 2 and not hidden_materials(scene).any()
+        lit = len(light_sources(scene).lights.strip) or has_environment(scene)
+        if not self.direct or not lit or only_direct:
             return None
         rest = GlobalIllumination(self.max_depth, direct=False, clamp=self.clamp, guided=self.guided)
         return DirectPart(), rest
@@ -73,10 +76,10 @@ class GlobalIllumination(Integrand):
         return self.direct
 
     def data(self, scene: Scene) -> np.ndarray:
-        if not scene.lights and not emissions(scene).any():
+        if not scene.lights and not emissions(scene).any() and not has_environment(scene):
             raise IntegrandError(
                 f"{scene.name} has no light, so global illumination is zero everywhere: "
-                "add a [[lights]] entry to the scene, or give a material an emission"
+                "add a [[lights]] entry or an [environment] to the scene, or give a material an emission"
             )
         return light_records(scene)
 
@@ -93,10 +96,8 @@ class GlobalIllumination(Integrand):
             return np.zeros((len(light), 3), np.float32)
         return emitted_by_lights(scene, light, outgoing)
 
+    def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
+        return environment_seen(scene, directions) if self.direct else None
+
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         return emissions(scene)[material]
-
-
-def emissions(scene: Scene) -> np.ndarray:
-    """What each material emits, float32 (materials, 3)."""
-    return np.array([material.emission for material in scene.materials], np.float32).reshape(-1, 3)

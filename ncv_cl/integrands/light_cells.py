@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene.load import QuadLight, Scene
+from ..scene.load import Scene
+from .light_sources import BALL, Lights
 
 DIRECTIONS = 6
 # Points of each cell's surfaces where lights are looked at from.
@@ -131,52 +132,6 @@ def scene_cells(scene: Scene, side: int) -> Cells:
     ).only(np.argsort(number))  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Lights:
-    """All lights of a scene as arrays, float64 (lights, ...) unless it says otherwise.
-
-    Attributes
-    ----------
-    corner, normal, radiance : (lights, 3)
-    edges : (lights, 2, 3)
-    area : (lights,)
-    two_sided : bool (lights,)
-    """
-
-    corner: np.ndarray
-    edges: np.ndarray
-    normal: np.ndarray
-    radiance: np.ndarray
-    area: np.ndarray
-    two_sided: np.ndarray
-
-    @staticmethod
-    def of(lights: tuple[QuadLight, ...]) -> Lights:
-        corner, edge1, edge2, radiance = (
-            np.array([getattr(light, name) for light in lights], np.float64)
-            for name in ("corner", "edge1", "edge2", "radiance")
-        )
-        vector_area = np.cross(edge1, edge2)
-        area = np.linalg.norm(vector_area, axis=1)
-        # As single as kernels have it.
-        normal = (vector_area / area[:, None]).astype(np.float32).astype(np.float64)
-        two_sided = np.array([light.two_sided for light in lights])
-        return Lights(corner, np.stack([edge1, edge2], axis=1), normal, radiance, area, two_sided)
-
-    @property
-    def corners(self) -> np.ndarray:
-        """float64 (4, lights, 3)."""
-        edge1, edge2 = self.edges[:, 0], self.edges[:, 1]
-        return np.stack(
-            [self.corner, self.corner + edge1, self.corner + edge2, self.corner + edge1 + edge2]
-        )
-
-    @property
-    def power(self) -> np.ndarray:
-        """What each emits, mean of the channels, over pi."""
-        return self.area * self.radiance.mean(axis=1) * (1 + self.two_sided)
-
-
 def may_light(cells: Cells, lights: Lights) -> np.ndarray:
     """Which lights may light which cells, bool (cells, lights): True wherever that is not certain.
 
@@ -195,7 +150,7 @@ def may_light(cells: Cells, lights: Lights) -> np.ndarray:
         highest = cells.middle @ corner.T - from_middle[:, None]
         if spread.any():
             highest += spread[:, None] * np.sqrt(_squared_distances(centre, corner))
-        above |= highest > -rounding
+        above |= highest + lights.reach > -rounding
     # The farthest that a cell's box reaches on the emitting side.
     highest = (
         cells.lowest @ np.minimum(lights.normal, 0).T + cells.highest @ np.maximum(lights.normal, 0).T
@@ -219,6 +174,7 @@ def mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
 def _mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
     corner, edges, normal, area = lights.corner, lights.edges, lights.normal, lights.area
     diagonal2 = (edges**2).sum(axis=(1, 2))
+    balls = np.flatnonzero(lights.shape == BALL)
     on_light = _ON_LIGHT if len(area) <= _FEW_LIGHTS else _MIDDLE
     total = np.zeros((len(cells.number), len(area)))
     for place, own in zip(
@@ -226,16 +182,20 @@ def _mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
     ):
         height = place @ normal.T - (corner * normal).sum(axis=1)
         emitted = np.where(lights.two_sided, np.abs(height), np.maximum(height, 0))
+        # Balls face every place.
+        to = place[:, None] - corner[balls]
+        away = np.maximum(np.linalg.norm(to, axis=2), 1e-300)
+        emitted[:, balls] = away * lights.sent(balls, to / away[..., None])
         found = np.zeros_like(total)
         for u, v in on_light:
-            at = corner + u * edges[:, 0] + v * edges[:, 1]
+            at = lights.at(u, v)
             cosine = np.maximum(own @ at.T - (own * place).sum(axis=1)[:, None], 0)
             found += cosine / _squared_distances(place, at) ** 2
         found *= emitted * area / len(on_light)
         middle = corner + edges.sum(axis=1) / 2
         cell, light = np.nonzero(_squared_distances(place, middle) < diagonal2)
         found[cell, light] = _of_large(
-            place[cell], own[cell], corner[light], edges[light], normal[light]
+            place[cell], own[cell], corner[light], edges[light], normal[light], lights.tapered[light]
         )
         total += np.where(emitted > 0, found, 0.0)
     radiance = lights.radiance.mean(axis=1)
@@ -244,9 +204,17 @@ def _mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
 
 
 def _of_large(
-    place: np.ndarray, own: np.ndarray, corner: np.ndarray, edges: np.ndarray, normal: np.ndarray
+    place: np.ndarray,
+    own: np.ndarray,
+    corner: np.ndarray,
+    edges: np.ndarray,
+    normal: np.ndarray,
+    tapered: np.ndarray,
 ) -> np.ndarray:
-    """Irradiance for radiance 1, float64 (pairs,): a light a place, arrays (pairs, ..., 3)."""
+    """Irradiance for radiance 1, float64 (pairs,): a light a place, arrays (pairs, ..., 3).
+
+    `tapered`, bool (pairs,), is whether lines along the second edge shorten to nothing, as in triangles.
+    """
 
     def dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return (first * second).sum(axis=1)
@@ -261,8 +229,9 @@ def _of_large(
     for u, v in _ON_LIGHT:
         x = np.abs(z) * np.tan(first + u * (last - first))
         y = dot(begin, along) + (x - x0) / width * dot(edges[:, 0], along)
+        end = y + length * np.where(tapered, 1 - (x - x0) / width, 1.0)
         radius = np.maximum(np.hypot(x, z), 1e-300)
-        low, high = y / np.hypot(y, radius), (y + length) / np.hypot(y + length, radius)
+        low, high = y / np.hypot(y, radius), end / np.hypot(end, radius)
         h = low + v * (high - low)
         y = radius * h / np.sqrt(np.maximum(1 - h**2, 1e-30))
         to = x[:, None] * across + y[:, None] * along + z[:, None] * normal

@@ -25,3 +25,6 @@ EQUAL_PART = 0.25
 LOBE_SHARES = (0.0, 0.5, 0.875)
 LOBE_GAIN = 3.0
 LOBE_NEED = 8.0
+# What every direction of the environment that is not black has in its maps beside its own radiance, of
+# the mean: so that what is in front of the bright parts does not leave the rest to few samples.
+SKY_EQUAL_PART = 0.05

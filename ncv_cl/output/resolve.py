@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands.emitted import emitted_light
+from ..points.background import background_directions
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
@@ -147,6 +148,7 @@ def resolve_image(
     emitted = emitted_light(scene, integrand, points)
     if emitted.any():
         pixels += grid.average(emitted.T, everything)
+    _add_background(pixels, scene, settings, points)
 
     layers = {
         "albedo": grid.average(points.rows("albedo"), everything),
@@ -159,6 +161,22 @@ def resolve_image(
     if direct is not None:
         layers["direct"] = grid.average(direct.mean, active) + np.zeros(3)
     return Image(pixels, pixel_variance, layers)
+
+
+def _add_background(pixels: np.ndarray, scene: Scene, settings: Settings, points: ShadingPoints) -> None:
+    """Add what is seen beyond the scene to pixels, float64 (height, width, 3)."""
+    if not points.background:
+        return
+    supersample, flat = settings.sampling.supersample, pixels.reshape(-1, 3)
+    width = settings.size[0]
+    columns = width * supersample
+    parts = background_directions(scene.camera, points, settings.size, supersample)
+    for cell, towards in parts:
+        seen = settings.integrand.background(scene, towards)
+        if seen is None:
+            return
+        pixel = cell // columns // supersample * width + cell % columns // supersample
+        np.add.at(flat, pixel, seen / supersample**2)
 
 
 def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:

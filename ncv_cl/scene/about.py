@@ -12,8 +12,9 @@ from . import meshes
 from .imports import read_tables
 from .imports.suggest import view_of
 from .imports.toml_text import toml_text
+from .lights.kinds import SphereLight, SpotLight
 from .load import read_scene, scene_from
-from .model import Camera, Material, QuadLight, Scene
+from .model import Camera, Light, Material, QuadLight, Scene
 from .table import SceneError
 from .textures.image_file import ImageFiles
 from .textures.texture import Texture
@@ -40,7 +41,7 @@ def describe(path: str | Path, camera: str | None = None, allow_outside: bool = 
         f"bounds    {_row(low)} to {_row(high)}, size {_row(high - low)}",
     ]
     lines += _materials(scene, surfaces)
-    lines += _lights(scene)
+    lines += _lights(scene) + _environment(scene)
     own = scene.camera
     place, target = own.position + scene.origin, own.target + scene.origin
     lines += [f"camera    at {_row(place)}, to {_row(target)}, {own.vertical_fov:g}° high"]
@@ -85,6 +86,10 @@ def _materials(scene: Scene, surfaces: NDArray[np.bool_]) -> list[str]:
 
 def _material(material: Material) -> str:
     parts = [f"albedo {_row(material.albedo)}"]
+    if material.is_glass:
+        kind = "thin glass" if material.thin else "glass"
+        parts = [f"{kind}, transmission {_row(material.transmission)}, ior {material.ior:.4g}"]
+        parts += [f"roughness {material.roughness:.3g}"] if not material.thin else []
     if material.reflectance.any():
         parts.append(f"reflectance {_row(material.reflectance)}, roughness {material.roughness:.3g}")
     if material.emission.any():
@@ -109,10 +114,31 @@ def _lights(scene: Scene) -> list[str]:
     return lines + ([f"  {len(scene.lights) - LISTED} more"] if len(scene.lights) > LISTED else [])
 
 
-def _light(light: QuadLight, origin: NDArray[np.float64]) -> str:
-    corner = light.corner + origin
+def _light(light: Light, origin: NDArray[np.float64]) -> str:
+    radiance = f"radiance {_row(light.radiance)}"
+    if isinstance(light, SphereLight):
+        return f"sphere of radius {light.radius:.3g} at {_row(light.centre + origin)}, {radiance}"
+    if isinstance(light, SpotLight):
+        beam = f"towards {_row(light.direction)} within {light.outer_angle:.3g} degrees"
+        return f"spot at {_row(light.position + origin)}, intensity {_row(light.intensity)}, {beam}"
+    place = light.corner if isinstance(light, QuadLight) else light.centre
     sides = "both sides" if light.two_sided else f"towards {_row(light.normal)}"
-    return f"area {light.area:.3g} at {_row(corner)}, radiance {_row(light.radiance)}, {sides}"
+    return f"area {light.area:.3g} at {_row(place + origin)}, {radiance}, {sides}"
+
+
+def _environment(scene: Scene) -> list[str]:
+    """Nothing where there is none."""
+    if scene.environment is None:
+        return []
+    texels, suns = scene.environment.texels, scene.environment.suns
+    height, width = texels.shape[:2]
+    what = f"an image of {width} × {height}, " if texels.size > 3 else ""
+    mean = texels.astype(np.float64).mean(axis=(0, 1)).astype(np.float32)
+    lines = [f"outside   {what}radiance {_row(mean)}{' on average' if what else ''}"]
+    for sun in suns:
+        size = f"{sun.angular_diameter:.4g}° wide"
+        lines.append(f"  sun {size} towards {_row(sun.towards)}, irradiance {_row(sun.irradiance)}")
+    return lines
 
 
 def _short(warning: str, path: str | Path) -> str:

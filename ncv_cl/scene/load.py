@@ -13,10 +13,11 @@ from trimesh.transformations import identity_matrix, translation_matrix
 
 from ..host.reach import Reach
 from . import geometry, meshes
-from .assembly import Assembly, add_lights, read_camera, read_materials
+from .assembly import Assembly, add_environment, read_camera, read_materials
 from .build import mesh_of_arrays
 from .geometry import Mesh
 from .imports import read_tables
+from .lights.read import add_lights
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .table import SceneError, Table
 from .textures.image_file import ImageFiles
@@ -33,6 +34,7 @@ _SCENE_KEYS = (
     "spheres",
     "meshes",
     "lights",
+    "environment",
 )
 _PLACE_KEYS = ("translate", "scale", "rotate", "transform")
 _MESH_KEYS = ("file", "material", "name", "smooth", "lights", *_PLACE_KEYS)
@@ -111,6 +113,7 @@ def scene_from(
     assembly.warnings += [f"{path}: {sentence}" for sentence in said]
     _add_primitives(root, assembly)
     lights = _add_meshes(root, path.parent, images, assembly)
+    add_environment(root, path.parent, images.reach, assembly)
     add_lights(root.replaced({"lights": [*root.entries("lights"), *lights]}), assembly)
     if assembly.is_empty:
         raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
@@ -220,6 +223,7 @@ def _add_mesh_file(
     transform = _read_transform(table)
     material = assembly.named_material(table) if "material" in table else None
     smooth = table.flag("smooth", None)
+    dim = table.choice("lights", ("use", "ignore"), "use") == "ignore"
     key = f"file: {file.name}"
     try:
         images.reach.checked(file)
@@ -227,21 +231,29 @@ def _add_mesh_file(
         found = meshes.read_meshes(file, transform, smooth, images, textured)
     except ValueError as error:
         raise table.error(key, str(error)) from error
+    if dim and material is not None and not found.lights:
+        raise table.error("lights", "has no effect beside material, which replaces what the file emits")
     for sentence in found.notes if material is None else found.shape_notes:
-        assembly.warn(table, key, sentence)
+        if not (dim and sentence.startswith(meshes.EMITS)):
+            assembly.warn(table, key, sentence)
     from_file: dict[meshes.FileMaterial | None, int] = {}
     for item in found.meshes:
         index = material
         if index is None:
             if item.material not in from_file:
-                from_file[item.material] = assembly.new_material(
-                    _material_of_file(table, item.material, file.name, assembly)
-                )
+                read = _material_of_file(table, item.material, file.name, assembly)
+                from_file[item.material] = assembly.new_material(_dark(read) if dim else read)
             index = from_file[item.material]
         # Colours are part of the file's looks.
         mesh = item.mesh if material is None else replace(item.mesh, colours=None)
         assembly.add(table, key, mesh, index, advice=_COARSE)
-    return found.lights if table.choice("lights", ("use", "ignore"), "use") == "use" else []
+    return [] if dim else found.lights
+
+
+def _dark(material: Material) -> Material:
+    """The same material without its emission."""
+    maps = None if material.maps is None else replace(material.maps, emission=None)
+    return replace(material, emission=np.zeros(3, np.float32), maps=maps)
 
 
 def _material_of_file(
@@ -262,4 +274,7 @@ def _material_of_file(
         roughness=found.roughness,
         emission=np.array(found.emission, dtype=np.float32),
         maps=found.maps,
+        transmission=np.array(found.transmission, dtype=np.float32),
+        ior=found.ior,
+        thin=found.thin,
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands import Integrand
+from ..integrands.light_sources import light_sources
+from ..integrands.lights import LIGHT_FILES
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..opencl.program import build
@@ -29,7 +31,9 @@ TOLERANCE = 24 * 2.0**-24
 
 def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
-    return len(scene.lights) <= tuning.MOST_LIGHTS and not scene.has_holes
+    lights = light_sources(scene).lights
+    few = len(lights.strip) <= tuning.MOST_LIGHTS
+    return few and not lights.has_balls and not scene.has_gaps and scene.environment is None
 
 
 class Occluders:
@@ -44,6 +48,8 @@ class Occluders:
         Longest list that is kept, if memory for all of them suffices.
     hierarchy : Hierarchy, optional
         The scene's, if there is one.
+    kept : int, optional
+        Longest list that is kept, where it was decided for more points than these.
 
     Attributes
     ----------
@@ -65,10 +71,12 @@ class Occluders:
         integrand: Integrand,
         most: int = MOST_OCCLUDERS,
         hierarchy: Hierarchy | None = None,
+        kept: int | None = None,
     ) -> None:
         self.hierarchy = hierarchy or Hierarchy(device, scene)
         # No triangle is listed twice.
-        self._most = self._room = most
+        self._room = most
+        self._most = most if kept is None else kept
         words = COMMON_LISTS + points.active * (min(most, len(scene.triangles)) + 1)
         self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
         self.starts = HostArray(device, points.active, np.uint32)
@@ -83,7 +91,8 @@ class Occluders:
             "tolerance": TOLERANCE * float(np.abs(scene.bounds).max()),
         }
         defines = {**surface_defines(), **self.defines(), **integrand.defines(scene)}
-        find = build(device, ("common", "surface", "lights", "shaft"), defines).kernel("find_occluders")
+        files = ("common", "surface", *LIGHT_FILES, "shaft")
+        find = build(device, files, defines).kernel("find_occluders")
         lights = HostArray.of(device, integrand.data(scene))
         # The same numbers as at the lists' heads: the host wants these without the lists.
         lengths = HostArray(device, points.active, np.uint32)
@@ -114,6 +123,11 @@ class Occluders:
                 self.mean_count = float(counted.read().mean())
                 return
             self._most = fitting
+
+    @property
+    def longest(self) -> tuple[int, int]:
+        """The longest list there is room for, and the longest that is kept."""
+        return self._room, self._most
 
     @property
     def unknown(self) -> int:

@@ -36,6 +36,9 @@ class FileMaterial:
     roughness: float
     emission: Colour = (0.0, 0.0, 0.0)
     maps: Maps | None = None
+    transmission: Colour = (0.0, 0.0, 0.0)
+    ior: float | None = None
+    thin: bool = False
 
 
 @dataclass(frozen=True, eq=False)

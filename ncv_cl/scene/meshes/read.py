@@ -36,6 +36,8 @@ _READERS: dict[str, Callable[[Path, Notes, Asked], list[FileGeometry]]] = {
 MOST_TRIANGLES = 1 << 26
 # Suffixes of the files that are read.
 KINDS = tuple(_READERS)
+# What is said of materials that emit.
+EMITS = "materials that emit, which light the scene"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +192,14 @@ def _fill_in_normals(meshes: list[Mesh]) -> None:
 
 def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
     """A material within the renderer's limits; notes what had to be changed."""
-    colours = {name: getattr(material, name) for name in ("albedo", "reflectance")}
+    names = ("albedo", "reflectance", "transmission")
+    colours = {name: getattr(material, name) for name in names}
     clamped = {name: _clamped(colour, 1.0) for name, colour in colours.items()}
     emission = _clamped(material.emission, np.inf)
     if clamped != colours or emission != material.emission:
         notes.look("materials with colours outside [0, 1], which are clamped", material.name)
     if any(emission):
-        kind = "materials that emit, which integrand gi renders and direct refuses"
-        notes.look(kind, material.name)
+        notes.look(EMITS, material.name)
     roughness = min(max(float(np.nan_to_num(material.roughness)), SMALLEST_ROUGHNESS), 1.0)
     return replace(material, **clamped, roughness=roughness, emission=emission)
 
