@@ -12,6 +12,7 @@ What is not:
   takes the triangle's normal, Mitsuba the surface's other side. Global illumination of knot and
   occluders is 0.1 % brighter with ours; without vertex normals in either it agrees within 0.03 %.
 - Shadow rays: ours leave and end a few roundings off the surfaces, Mitsuba's by epsilons of its own.
+- Suns are points, infinitely far away: shadows have no penumbra.
 - A mesh's light from below its geometric normal: ours is zero, Mitsuba's is up to the shadow ray.
 """
 
@@ -27,6 +28,7 @@ from types import ModuleType
 import numpy as np
 
 from ncv_cl.scene.load import Material, QuadLight, Scene
+from ncv_cl.scene.sky.environment import Environment
 
 # An older LLVM lacks instructions that Mitsuba's compiler emits, and aborts the process.
 OLDEST_LLVM = 16
@@ -104,6 +106,8 @@ class MitsubaScene:
         items |= self._meshes()
         for number, light in enumerate(scene.lights):
             items |= self._light(number, light)
+        if scene.environment is not None and not white_under_sky:
+            items |= self._environment(scene.environment)
         self.scene = mitsuba.load_dict(items)
 
     # ---- conversion ----------------------------------------------------------------------------------
@@ -210,6 +214,37 @@ class MitsubaScene:
             if not self.white_under_sky:
                 item["emitter"] = {"type": "area", "radiance": _rgb(light.radiance)}
             found[f"light{number}{side}"] = item
+        return found
+
+    def _environment(self, environment: Environment) -> dict[str, object]:
+        """The image, whose function between pixels is the same, and suns as points infinitely far away.
+
+        Mitsuba's first and last row are the poles themselves, ours the middles of rows.
+        """
+        texels = environment.texels
+        height = texels.shape[0]
+        at = np.clip(np.arange(2 * height + 1) / 2 - 0.5, 0, height - 1)
+        upper = np.minimum(at.astype(int), max(height - 2, 0))
+        part = (at - upper)[:, None, None].astype(np.float32)
+        rows = (1 - part) * texels[upper] + part * texels[np.minimum(upper + 1, height - 1)]
+        # Fewer columns than two cannot be interpolated there.
+        rows = np.ascontiguousarray(np.repeat(rows, 2 if rows.shape[1] == 1 else 1, axis=1))
+        matrix = np.eye(4)
+        matrix[:3, :3] = environment.axes.T
+        to_world = self.mitsuba.ScalarTransform4f(matrix)
+        found: dict[str, object] = {}
+        if texels.any():
+            found["sky"] = {
+                "type": "envmap",
+                "bitmap": self.mitsuba.Bitmap(rows),
+                "to_world": to_world,
+            }
+        for number, sun in enumerate(environment.suns):
+            found[f"sun{number}"] = {
+                "type": "directional",
+                "direction": [float(x) for x in -sun.towards],
+                "irradiance": _rgb(sun.irradiance),
+            }
         return found
 
     def _parallelogram(self, corner: np.ndarray, edge1: np.ndarray, edge2: np.ndarray) -> object:
