@@ -320,7 +320,9 @@ class MitsubaScene:
         sampler.next_2d()
         ray, _ = sensor.sample_ray_differential(0.0, 0.5, at, mi.Point2f(0.5))
         value, valid, _ = method.sample(self.scene, sampler, ray)
-        value = dr.select(valid, value, 0.0)
+        # Rays that miss are not valid to the direct integrator, even where they see the environment.
+        if self.source.environment is None:
+            value = dr.select(valid, value, 0.0)
         sums = [np.array(dr.block_sum(channel, spp), np.float64) for channel in value]
         return np.stack(sums, axis=-1) / spp
 
@@ -334,7 +336,7 @@ class MitsubaScene:
             ray, _ = sensor.sample_ray_differential(0.0, 0.5, at, [0.5, 0.5])
             for _ in range(spp):
                 value, valid, _ = method.sample(self.scene, sampler, mi.RayDifferential3f(ray))
-                if valid:
+                if valid or self.source.environment is not None:
                     found[cell] += np.array(value)
                 sampler.advance()
         return found / spp
