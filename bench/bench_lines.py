@@ -204,7 +204,7 @@ def on_a_plane(mesh: Path) -> ncv.Scene:
         file = Path(folder, "scene.toml")
         text = MESH_SCENE.format(file=mesh.resolve(), scale=scale, **places)
         file.write_text(text, encoding="utf-8")
-        return ncv.load_scene(file)
+        return ncv.load_scene(file, allow_outside=True)
 
 
 def large(name: str, scene: ncv.Scene, size: int, rounds: int) -> None:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-import OpenImageIO as oiio
 from bench_curves import DEFAULT, FULL, METHODS, SOBOL, cases_of
 from references import reference
 from training import SCENES
@@ -23,6 +22,7 @@ from training import SCENES
 import ncv_cl as ncv
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
+from ncv_cl.output.compare import flip_map, has_flip
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
@@ -91,25 +91,6 @@ def _strip(device: Device, name: str, integrand: str, plan: Plan, folder: Path) 
     file = folder / f"pictures_{name}_{integrand}.png"
     draw(file, truth.pixels, {SOBOL: plain.pixels, DEFAULT: ours.pixels}, rows)
     return {"picture": file.name, "methods": rows}
-
-
-def has_flip() -> bool:
-    """Whether this OpenImageIO compares images by FLIP."""
-    return hasattr(oiio.ImageBufAlgo, "FLIP_diff")
-
-
-def flip_map(reference: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
-    """FLIP of linear RGB clamped to [0, 1]: (height, width), or None where OpenImageIO lacks it."""
-    if not has_flip():
-        return None
-    first, second = (
-        oiio.ImageBuf(np.ascontiguousarray(np.clip(one, 0, 1), dtype=np.float32))
-        for one in (reference, pixels)
-    )
-    found = oiio.ImageBufAlgo.FLIP_diff(first, second, hdr=0)
-    if found.has_error:
-        raise RuntimeError(f"FLIP failed: {found.geterror()}")
-    return found.get_pixels(oiio.FLOAT)[:, :, 0]
 
 
 def draw(file: Path, truth: np.ndarray, images: dict[str, np.ndarray], rows: dict[str, dict]) -> None:

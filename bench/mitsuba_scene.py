@@ -27,6 +27,7 @@ from types import ModuleType
 
 import numpy as np
 
+from ncv_cl.scene.geometry import SMALLEST_ROUGHNESS
 from ncv_cl.scene.load import Material, QuadLight, Scene
 from ncv_cl.scene.sky.environment import Environment
 
@@ -158,6 +159,8 @@ class MitsubaScene:
             return _lambert(np.ones(3))
         if np.any(getattr(material, "emission", 0.0)):
             raise NotImplementedError("Mitsuba's meshes emit from one side, ours from both")
+        if material.is_glass and not coloured and material.maps is None:
+            return _glass(material)
         if coloured or material.maps is not None:
             return self._varying(material, coloured)
         if not np.any(material.reflectance):
@@ -345,6 +348,20 @@ class MitsubaScene:
 def _rgb(colour: np.ndarray) -> dict[str, object]:
     """Mitsuba's unbounded colour; its ``rgb`` clamps and is for reflectances."""
     return {"type": "rgb", "value": [float(x) for x in colour]}
+
+
+def _glass(material: Material) -> dict[str, object]:
+    """A dielectric, its outside air."""
+    common = {
+        "int_ior": material.ior,
+        "ext_ior": 1.0,
+        "specular_transmittance": _rgb(material.transmission),
+    }
+    if material.thin:
+        return {"type": "thindielectric", **common}
+    if material.roughness <= SMALLEST_ROUGHNESS:
+        return {"type": "dielectric", **common}
+    return {"type": "roughdielectric", "distribution": "ggx", "alpha": material.roughness**2, **common}
 
 
 def _lambert(albedo: np.ndarray | dict[str, object]) -> dict[str, object]:

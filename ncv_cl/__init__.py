@@ -9,16 +9,21 @@ from __future__ import annotations
 from .integrands import AmbientOcclusion, DirectLight, GlobalIllumination, Integrand, IntegrandError
 from .integration.integrate import integrate
 from .integration.subdivide import Subdivision, draw_subdivision, subdivide
+from .machines.crew import TaskError
+from .machines.processes import Processes
+from .machines.values import CannotTravel
 from .network.network import Network, NetworkError
 from .opencl.choose import choose_device, devices
 from .opencl.device import Device, DeviceError
 from .opencl.program import KernelText
+from .output.compare import Comparison, compare
 from .output.image import Image
 from .output.vertex_colours import write_vertex_colours
 from .points.arrays import PointError
 from .rendering.estimate import Integrals, estimate
 from .rendering.render import render
 from .scene.build import build_scene
+from .scene.lights.kinds import DiscLight, PointLight, SphereLight, SpotLight
 from .scene.load import load_scene
 from .scene.model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .scene.sky.environment import Environment, Sun
@@ -37,9 +42,12 @@ __all__ = [
     "AmbientOcclusion",
     "BakeError",
     "Camera",
+    "CannotTravel",
+    "Comparison",
     "Device",
     "DeviceError",
     "DirectLight",
+    "DiscLight",
     "Environment",
     "Files",
     "GlobalIllumination",
@@ -53,14 +61,19 @@ __all__ = [
     "Network",
     "NetworkError",
     "PointError",
+    "PointLight",
     "PointValues",
+    "Processes",
     "QuadLight",
     "Sampling",
     "Scene",
     "SceneError",
+    "SphereLight",
+    "SpotLight",
     "Stopping",
     "Subdivision",
     "Sun",
+    "TaskError",
     "Texture",
     "Training",
     "TriangleMesh",
@@ -71,6 +84,7 @@ __all__ = [
     "bake_vertices",
     "build_scene",
     "choose_device",
+    "compare",
     "devices",
     "draw_subdivision",
     "estimate",

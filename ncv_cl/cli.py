@@ -8,13 +8,15 @@ import itertools
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 
 from .commands.bake import add_bake
-from .commands.common import Help, add_common, write_json
+from .commands.common import Help, add_common, add_scene, load, workers, write_json
 from .commands.points import add_sense
+from .commands.scene_files import add_import, add_info
 from .host.console import EXPECTED, complain, one_line, run, say, summary
 from .host.files import check_paths, read_arrays, write_whole
 from .host.interrupt import StopOnSignal
@@ -29,8 +31,6 @@ from .integration.subdivide import draw_subdivision, subdivide
 from .opencl.choose import devices
 from .output.image import Image, check_output_path
 from .rendering.render import render
-from .scene import about
-from .scene.load import load_scene
 from .settings.arguments import add_arguments, read_arguments
 from .settings.options import GROUPS
 
@@ -55,7 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     add_bake(commands)
     _add_subdivide(commands)
     _add_integrate(commands)
-    _add_info(commands)
+    add_info(commands)
+    add_import(commands)
     listing = commands.add_parser("devices", help="list the OpenCL devices and how fast they are")
     listing.set_defaults(command=_devices)
     _add_bench(commands)
@@ -69,7 +70,7 @@ def _add_render(commands: argparse._SubParsersAction) -> None:
         formatter_class=Help,
     )
     add = parser.add_argument
-    add("scene", help="scene file (.toml)")
+    add_scene(parser)
     add(
         "--integrand",
         type=_integrand_name,
@@ -101,15 +102,6 @@ def _add_integrand_options(parser: argparse.ArgumentParser) -> None:
         "--max-depth", type=int, metavar="D", help="global illumination: most edges of a path, 2: direct"
     )
     add("--clamp", type=float, metavar="L", help="global illumination: most that a path brings (biased)")
-
-
-def _add_info(commands: argparse._SubParsersAction) -> None:
-    parser = commands.add_parser("info", help="say what a scene or a mesh file holds")
-    parser.add_argument("file", metavar="SCENE|MESH", help="scene file (.toml) or mesh file")
-    parser.add_argument(
-        "--toml", action="store_true", help="print a scene file for a mesh file, to be saved beside it"
-    )
-    parser.set_defaults(command=_info)
 
 
 _LAYERS_HELP = "arrays weights0, biases0, weights1, ... of a ReLU network of (u, v) (.npz)"
@@ -254,14 +246,14 @@ def _check_render(options: argparse.Namespace) -> None:
 
 def _render(options: argparse.Namespace) -> int:
     _check_render(options)
-    with StopOnSignal() as stop:
-        return _render_and_write(options, stop)
+    with workers(options) as executor, StopOnSignal() as stop:
+        return _render_and_write(options, stop, executor)
 
 
-def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
+def _render_and_write(options: argparse.Namespace, stop: StopOnSignal, executor: Executor | None) -> int:
     chosen = [read_arguments(options, group) for group in GROUPS.values()]
     image = render(
-        load_scene(options.scene),
+        load(options),
         _integrand(options),
         method=options.method,
         spp=options.spp,
@@ -270,6 +262,7 @@ def _render_and_write(options: argparse.Namespace, stop: StopOnSignal) -> int:
         device=options.device,
         progress=True,
         stop=stop,
+        executor=executor,
         **{name: value for group in chosen for name, value in group.items()},
     )
     failed = _write_all(image, options)
@@ -293,11 +286,6 @@ def _write_all(image: Image, options: argparse.Namespace) -> list[str]:
             complain(one_line(error))
             failed.append(path)
     return failed
-
-
-def _info(options: argparse.Namespace) -> int:
-    say(about.mesh_toml(options.file) if options.toml else about.describe(options.file))
-    return 0
 
 
 def _devices(options: argparse.Namespace) -> int:

@@ -19,6 +19,7 @@ KERNELS = sorted(kernel_folder().glob("*/*.cl"))
 # The one rule: data goes from folder to folder in this order, and a folder imports from those before it.
 FOLDERS = [
     "host",
+    "machines",
     "opencl",
     "scene",
     "points",

@@ -18,7 +18,7 @@ from ncv_cl.scene.textures.surface import surface_at
 BROWN = np.array([0.21586, 0.014444, 0.014444])
 OPAQUE = "materials that let light through are drawn opaque: 1 (w)"
 HALF_OPAQUE = "materials that blend are opaque, with holes where their opacity is below a half: 1 (w)"
-EMITS = "materials that emit, which integrand gi renders and direct refuses: 1 (w)"
+EMITS = "materials that emit, which light the scene: 1 (w)"
 OTHERS = "textures that are not placed as the colour is, their mean colour stands for them: "
 NO_METAL = (
     "textures of metal that are missing or cannot be read, the surface is no metal: "

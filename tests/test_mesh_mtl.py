@@ -71,7 +71,7 @@ def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
         ("d 0.5", OPAQUE),
         ("d -halo 0.5", OPAQUE),
         ("Tr 0.5", OPAQUE),
-        ("illum 4\nTf 0.5 0.5 0.5", OPAQUE),
+        ("illum 4\nTf 1 1 1", OPAQUE),
         ("illum 0", "materials of constant colour (illum 0) are lit as others are: 1 (m)"),
         ("Pc 0.5", "clear coat is not read: 1 (m)"),
         ("Ps 0.5", "sheen is not read: 1 (m)"),

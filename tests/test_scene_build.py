@@ -11,7 +11,7 @@ from trimesh.transformations import translation_matrix
 
 import ncv_cl as ncv
 from ncv_cl import Camera, Material, QuadLight, SceneError, TriangleMesh, build_scene, load_scene
-from ncv_cl.scene.load import tomllib
+from ncv_cl.scene.imports.read import tomllib
 from ncv_cl.scene.meshes import read_meshes
 
 FLOOR = np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])

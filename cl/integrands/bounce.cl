@@ -68,31 +68,42 @@ real lobe_share(const Scatterer *s) {
   return SELECT((real)0.0f, clamp(lobe / (lobe + matte), (real)0.1f, (real)0.9f), f0 > 0.0f);
 }
 
-/* A point of the sphere's cap that visible normals, stretched to a hemisphere, come from; then the reflection. */
-triple reflect_lobe(const Scatterer *s, const triple o, const real height, const real sine, const real cosine_a,
-                    const real sine_a) {
+/* A visible normal of any length: a point of the sphere's cap that these, stretched to a hemisphere, come from. */
+triple lobe_normal(const Scatterer *s, const triple o, const real height, const real sine, const real cosine_a,
+                   const real sine_a) {
   const real alpha = s->roughness * s->roughness;
   const real inverse = rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
   const real x = alpha * (sine * cosine_a + alpha * o.x * inverse);
   const real y = alpha * (sine * sine_a + alpha * o.y * inverse);
   const real z = max(height + o.z * inverse, (real)1e-20f);
-  const real unit = rsqrt(x * x + y * y + z * z);
-  const real twice = 2.0f * (o.x * x + o.y * y + o.z * z) * unit * unit;
-  return (triple){twice * x - o.x, twice * y - o.y, twice * z - o.z};
+  return (triple){x, y, z};
 }
 
-/* The lobe's direction at height v, from the pole down, and at an azimuth: in the normal's frame. */
-triple lobe_direction(const Scatterer *s, const real v, const real cosine, const real sine) {
-  /* The cap reaches from the pole down to the direction opposite to the viewer's, stretched. */
+/* The direction towards the viewer in the normal's frame. */
+triple outgoing_in_frame(const Scatterer *s) {
   triple tangent, bitangent;
   triple_frame(s->normal, &tangent, &bitangent);
-  const triple o = {dot_triple(tangent, s->outgoing), dot_triple(bitangent, s->outgoing),
-                    max(dot_triple(s->normal, s->outgoing), (real)1e-6f)};
+  return (triple){dot_triple(tangent, s->outgoing), dot_triple(bitangent, s->outgoing),
+                  max(dot_triple(s->normal, s->outgoing), (real)1e-6f)};
+}
+
+/* The visible normal at height v, from the pole down, and at an azimuth: in the normal's frame, of any length. */
+triple visible_normal(const Scatterer *s, const triple o, const real v, const real cosine, const real sine) {
+  /* The cap reaches from the pole down to the direction opposite to the viewer's, stretched. */
   const real alpha = s->roughness * s->roughness;
   const real stretched = o.z * rsqrt(max(alpha * alpha * (o.x * o.x + o.y * o.y) + o.z * o.z, (real)1e-30f));
   const real height = (1.0f - v) * (1.0f + stretched) - stretched;
   const real sine_h = sqrt(max((real)0.0f, FMA(-height, height, (real)1.0f)));
-  return reflect_lobe(s, o, height, sine_h, cosine, sine);
+  return lobe_normal(s, o, height, sine_h, cosine, sine);
+}
+
+/* The lobe's direction there: the reflection by it. */
+triple lobe_direction(const Scatterer *s, const real v, const real cosine, const real sine) {
+  const triple o = outgoing_in_frame(s);
+  const triple h = visible_normal(s, o, v, cosine, sine);
+  const real unit = rsqrt(h.x * h.x + h.y * h.y + h.z * h.z);
+  const real twice = 2.0f * (o.x * h.x + o.y * h.y + o.z * h.z) * unit * unit;
+  return (triple){twice * h.x - o.x, twice * h.y - o.y, twice * h.z - o.z};
 }
 
 /* The direction of a point of the unit square by the lobe alone; may lie below the surface. */

@@ -7,6 +7,10 @@
  * symmetric, so the sum is reciprocal, and it takes from Lambert what the lobe reflects, so no
  * direction reflects more than it receives. No reflectance means no lobe: plain Lambert.
  *
+ * With HAS_GLASS some surfaces are dielectrics, whose `eta` is not 0: the index of refraction behind the surface over
+ * that on the viewer's side, or its negative for thin panes, whose both sides are one surface. Of these only what they
+ * reflect is here, by Fresnel's equations and Walter's separable masking; dielectric.cl has the rest.
+ *
  * Every lane has a surface of its own (Scatterer), which may be one shading point's for all of them.
  *
  * Work-group contract: none; pure functions of private values.
@@ -18,11 +22,18 @@ typedef struct {
   triple albedo;
   triple reflectance; /* at normal incidence */
   real roughness;
+#if HAS_GLASS
+  real eta;
+#endif
 } Scatterer;
 
 Scatterer scatterer_of(const ShadingPoint *p) {
   return (Scatterer){to_triple(p->normal), to_triple(p->outgoing), to_triple(p->albedo),
-                     to_triple(p->reflectance), (real)p->roughness};
+                     to_triple(p->reflectance), (real)p->roughness
+#if HAS_GLASS
+                     , (real)p->eta
+#endif
+  };
 }
 
 real schlick_weight(const real cosine) {
@@ -53,6 +64,28 @@ real masking(const Scatterer *s, const real cosine_a, const real cosine_b) {
   return cosine_a * sqrt(alpha2 + (1.0f - alpha2) * cosine_b * cosine_b);
 }
 
+#if HAS_GLASS
+whole is_glass(const Scatterer *s) { return s->eta != 0.0f; }
+
+/* What a dielectric reflects at this cosine on the viewer's side, unpolarised: an interface, or a pane by all
+ * reflections between its sides, R + T^2 R (1 + R^2 + ...) = 2 R / (1 + R). */
+real glass_reflectance(const Scatterer *s, const real cosine) {
+  const real eta = fabs(s->eta);
+  const real c = clamp(cosine, (real)0.0f, (real)1.0f);
+  const real sine2 = (1.0f - c * c) / (eta * eta);
+  const real inner = sqrt(max((real)0.0f, 1.0f - sine2));
+  const real across = (c - eta * inner) / (c + eta * inner);
+  const real along = (eta * c - inner) / (eta * c + inner);
+  const real one = SELECT(0.5f * (across * across + along * along), (real)1.0f, sine2 >= 1.0f);
+  return SELECT(one, 2.0f * one / (1.0f + one), s->eta < 0.0f);
+}
+
+/* Smith's masking of one direction: 1 / (1 + lambda). */
+real masked_once(const Scatterer *s, const real cosine) {
+  return 2.0f * cosine / (cosine + masking(s, (real)1.0f, cosine));
+}
+#endif
+
 /* One channel of f_r. */
 real scattered(const real albedo, const real f0, const real lobe, const real weight_h, const real weight_i,
                const real weight_o) {
@@ -80,6 +113,12 @@ void scattering(const Scatterer *s, const triple incident, real f_r[3]) {
   f_r[0] = scattered(s->albedo.x, s->reflectance.x, lobe, weight_h, weight_i, weight_o);
   f_r[1] = scattered(s->albedo.y, s->reflectance.y, lobe, weight_h, weight_i, weight_o);
   f_r[2] = scattered(s->albedo.z, s->reflectance.z, lobe, weight_h, weight_i, weight_o);
+#if HAS_GLASS
+  const real reflected = glass_reflectance(s, dot_triple(s->outgoing, sum) * inverse) *
+                         microfacet_density(s, sum, inverse) * masked_once(s, cosine_o) * masked_once(s, guarded_i) /
+                         (4.0f * cosine_o * guarded_i);
+  for (int channel = 0; channel < 3; ++channel) f_r[channel] = SELECT(f_r[channel], reflected, is_glass(s));
+#endif
   for (int channel = 0; channel < 3; ++channel)
     f_r[channel] = SELECT((real)0.0f, f_r[channel], cosine_i > 0.0f);
 #else

@@ -30,6 +30,9 @@ void evaluate_integrand(const ShadingPoint *p, global const float *restrict inte
   const real weight = light.density / (light.density + scattering_density(&s, light.towards));
   scale *= SELECT((real)1.0f, weight, both_ways);
 #endif
+#if HAS_GLASS
+  scale = SELECT(scale, cosine * glass_light_weight(&s, light.towards, light.density, 1), is_glass(&s));
+#endif
   for (int channel = 0; channel < CHANNELS; ++channel)
     value[channel] = SELECT((real)0.0f, f_r[channel] * scale * light.radiance[channel], lit);
   direction[0] = light.segment.x;

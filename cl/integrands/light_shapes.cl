@@ -169,10 +169,6 @@ INLINED real sample_view(const LightView *view, const real u, const real v, real
 #endif
 }
 
-triple select_triple(const triple a, const triple b, const whole condition) {
-  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
-}
-
 #if HAS_BALLS
 /* One minus the cosine of half the angle under which a ball is seen; `outside` is whether from outside. */
 INLINED real ball_cap(const real squared, const real radius, whole *outside) {

@@ -48,16 +48,24 @@ void store_row3(global float *restrict surface, const uint total_points, const u
   surface[(row + 2u) * stride + point] = value.z;
 }
 
-/* Surfaces are two-sided: a triangle's normal, unit, on the side of a direction. The edges are scaled before the
- * cross product, whose squared length would leave float's range for very small triangles. */
-float3 triangle_normal(const float3 vertex0, const float3 vertex1, const float3 vertex2, const float3 towards) {
+/* A triangle's normal, unit, by the order of its corners. The edges are scaled before the cross product, whose squared
+ * length would leave float's range for very small triangles. */
+float3 front_normal(const float3 vertex0, const float3 vertex1, const float3 vertex2) {
   const float3 edge1 = vertex1 - vertex0;
   const float3 edge2 = vertex2 - vertex0;
   const float3 scaled1 = edge1 / largest(edge1);
   const float3 scaled2 = edge2 / largest(edge2);
-  const float3 normal = normalize(cross(scaled1, scaled2));
+  return normalize(cross(scaled1, scaled2));
+}
+
+/* Surfaces are two-sided: this normal on the side of a direction. */
+float3 triangle_normal(const float3 vertex0, const float3 vertex1, const float3 vertex2, const float3 towards) {
+  const float3 normal = front_normal(vertex0, vertex1, vertex2);
   return dot(normal, towards) < 0.0f ? -normal : normal;
 }
+
+/* `eta` of bsdf.cl, of a material's `ior` as a viewer on the front or behind sees it. */
+float relative_index(const float ior, const bool is_front) { return is_front || ior <= 0.0f ? ior : 1.0f / ior; }
 
 /* The size of a triangle's box. */
 float3 triangle_extent(const float3 vertex0, const float3 vertex1, const float3 vertex2) {
@@ -77,13 +85,14 @@ void store_place(global float *restrict surface, const uint total_points, const 
 }
 
 void store_material(global float *restrict surface, const uint total_points, const uint point,
-                    global const float *restrict material) {
+                    global const float *restrict material, const bool is_front) {
   const ulong stride = total_points;
   for (uint i = 0; i < 3; ++i) {
     surface[(ROW_ALBEDO + i) * stride + point] = material[MATERIAL_ALBEDO + i];
     surface[(ROW_REFLECTANCE + i) * stride + point] = material[MATERIAL_REFLECTANCE + i];
   }
   surface[ROW_ROUGHNESS * stride + point] = material[MATERIAL_ROUGHNESS];
+  surface[ROW_ETA * stride + point] = relative_index(material[MATERIAL_IOR], is_front);
 }
 
 kernel void shading_points(global const float *restrict camera, const uint columns, const uint rows,
@@ -121,7 +130,9 @@ kernel void shading_points(global const float *restrict camera, const uint colum
   const float3 position = b0 * vertex0 + b1 * vertex1 + b2 * vertex2;
   const float spread = triangle_spread(triangle_extent(vertex0, vertex1, vertex2), geometric_normal);
   store_place(surface, total_points, point, position, normal, geometric_normal, outgoing, spread);
-  store_material(surface, total_points, point, materials + (ulong)triangle_material[triangle] * MATERIAL_FLOATS);
+  const bool is_front = dot(front_normal(vertex0, vertex1, vertex2), geometric_normal) > 0.0f;
+  store_material(surface, total_points, point, materials + (ulong)triangle_material[triangle] * MATERIAL_FLOATS,
+                 is_front);
 }
 
 kernel void placed_points(const uint total_points, global const float *restrict positions,
@@ -137,16 +148,18 @@ kernel void placed_points(const uint total_points, global const float *restrict 
   float3 normal = load3(normals, point);
   float3 geometric_normal = normal;
   float spread = 0.0f;
+  bool is_front = true;
   if (triangle >= 0) {
     const float3 vertex0 = load3(vertices, triangles[3 * (ulong)triangle]);
     const float3 vertex1 = load3(vertices, triangles[3 * (ulong)triangle + 1]);
     const float3 vertex2 = load3(vertices, triangles[3 * (ulong)triangle + 2]);
     geometric_normal = triangle_normal(vertex0, vertex1, vertex2, outgoing);
+    is_front = dot(front_normal(vertex0, vertex1, vertex2), geometric_normal) > 0.0f;
     spread = triangle_spread(triangle_extent(vertex0, vertex1, vertex2), geometric_normal);
     if (dot(normal, geometric_normal) < 0.0f) normal = -normal;
     if (dot(normal, outgoing) <= 0.0f) normal = geometric_normal;
   }
   store_place(surface, total_points, point, load3(positions, point), normal, geometric_normal, outgoing, spread);
   surface[ROW_DETACHED * (ulong)total_points + point] = detached[point];
-  store_material(surface, total_points, point, materials + (ulong)point_material[point] * MATERIAL_FLOATS);
+  store_material(surface, total_points, point, materials + (ulong)point_material[point] * MATERIAL_FLOATS, is_front);
 }

@@ -15,6 +15,7 @@ typedef struct {
   float3 albedo;
   float3 reflectance;      /* at normal incidence */
   float roughness;
+  float eta;               /* of glass, see bsdf.cl; 0 of other surfaces */
   float lobe_share;        /* of the unit square, see lobe.cl; 0 until that is found */
   float detached;          /* 1: on no surface of the scene but a light, else 0 */
 } ShadingPoint;
@@ -39,6 +40,10 @@ triple gather_triple(global const float *restrict array, const whole at) {
 
 real dot_triple(const triple a, const triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
+triple select_triple(const triple a, const triple b, const whole condition) {
+  return (triple){SELECT(a.x, b.x, condition), SELECT(a.y, b.y, condition), SELECT(a.z, b.z, condition)};
+}
+
 ShadingPoint load_shading_point(global const float *restrict surface, const uint total_points,
                                 const uint point) {
   const ulong stride = total_points;
@@ -51,6 +56,7 @@ ShadingPoint load_shading_point(global const float *restrict surface, const uint
   p.albedo = load_row3(surface, total_points, ROW_ALBEDO, point);
   p.reflectance = load_row3(surface, total_points, ROW_REFLECTANCE, point);
   p.roughness = surface[ROW_ROUGHNESS * stride + point];
+  p.eta = surface[ROW_ETA * stride + point];
   p.lobe_share = surface[ROW_LOBE_SHARE * stride + point];
   p.detached = surface[ROW_DETACHED * stride + point];
   return p;

@@ -3,13 +3,14 @@
  * `density`.
  *
  * Layout as in samples.cl: sample s of batch point p is element p * stride + s of `u`, `v` and `weight`;
- * batch point p is point order[first_point + p].
+ * batch point p is point order[first_point + p], its random numbers those of point first_id more.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
  * VEC consecutive samples of one point.
  */
 
-kernel void draw_coordinates(const uint first_point, const uint point_count, const uint first_sample,
+kernel void draw_coordinates(const uint first_point, const uint point_count, const uint first_id,
+                             const uint first_sample,
                              const uint stride, const uint stream, const uint seed_low, const uint seed_high,
                              global const uint *restrict order,
 #if WARPED
@@ -22,7 +23,7 @@ kernel void draw_coordinates(const uint first_point, const uint point_count, con
   const uint point = order[first_point + item / blocks];
   const ulong at = (ulong)(item / blocks) * stride + (item % blocks) * VEC;
   real sample_u, sample_v;
-  sample_square(point, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream, seed_low, seed_high, &sample_u,
+  sample_square(point + first_id, LANE_NUMBER + (first_sample + (item % blocks) * VEC), stream, seed_low, seed_high, &sample_u,
                 &sample_v);
 #if WARPED
   global const uint *record = density + (ulong)RECORD_NUMBER(point, item / blocks) * DENSITY_WORDS;

@@ -58,6 +58,12 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
 #endif
   ray.path = LANE_NUMBER + (uint)at;
   ray.strips = strips_at(lights, &p);
+#if HAS_PANES
+  ray.behind = ray.passed = (real)0.0f;
+#endif
+#if HAS_GLASS
+  if (p.eta != 0.0f) enter_glass(&s, &p, LOAD(u + at), LOAD(v + at), &ray);
+#endif
   whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
   /* Without surfaces whose emission paths alone find, one of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_HIDDEN_EMISSION ? 1u : 2u;
@@ -84,7 +90,8 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
 
 /* Rays of `bounce` (the first is 1) and their hits. */
 kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
-                       const uint first_point, const uint first_sample, const uint stride, const float inverse_stride,
+                       const uint first_point, const uint first_id, const uint first_sample, const uint stride,
+                       const float inverse_stride,
                        const uint stream, const uint seed_low, const uint seed_high, const uint places,
                        global const uint *restrict order, global const float *restrict triangles,
                        global const uint *restrict textures, global const half *restrict texels,
@@ -116,6 +123,10 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole met = hit.triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
+#if HAS_PANES
+  const real behind = LOAD(PLANE(wave, WAVE_BEHIND) + first);
+  const real passed = SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_PASSED) + first), here);
+#endif
   /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
@@ -126,7 +137,12 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #else
     const whole left = all_strips(lights);
 #endif
+#if HAS_PANES
+    const triple found = light_met(lights, left, light, sum_of(origin, direction, -behind), direction,
+                                   hit.distance + behind, density);
+#else
     const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
+#endif
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
 #if HAS_ENVIRONMENT
@@ -138,7 +154,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     brought = sum_where(brought, product(ray.throughput, found), outside);
   }
 #endif
-  const whole on_surface = met && (light < 0);
+  whole on_surface = met && (light < 0);
   triple position, geometric_normal;
   Scatterer s;
   load_hit(triangles, textures, texels, at, sum_of(origin, direction, hit.distance), hit.u, hit.v, outgoing, &position,
@@ -163,15 +179,27 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
+#if HAS_PANES
+  /* Panes that a path went through are no part of its depth. */
+  const whole depth = TO_WHOLE((real)bounce - passed) + 2;
+  const whole is_lit = depth <= (int)max_depth;
+  on_surface = on_surface && (is_lit || (s.eta < 0.0f));
+  if (!ANY(on_surface)) {
+#else
   if (bounce + 2 > max_depth) {
+#endif
     add_radiance(brought, ray.path, largest_of(brought) > 0.0f, radiance);
     return;
   }
   whole both_ways = on_surface;
   /* A last ray can only find a light that is sampled, and is traced only if the surface has a lobe: other surfaces
    * find these lights by their points alone. */
+#if HAS_PANES
+  both_ways = both_ways && ((depth + (HAS_HIDDEN_EMISSION ? 0 : 1) <= (int)max_depth) || is_shiny(&s));
+#else
   const uint reach = HAS_HIDDEN_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
+#endif
   /* As surface_offset. */
   const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
   const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
@@ -189,7 +217,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const bits index = place - slot * stride + first_sample;
   const bits point = gather_bits(order, slot + first_point);
   real coordinates[5];
-  sample_nested(point + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
+  sample_nested(point + first_id + branch_seed, index, stream, bounce, seed_low, seed_high, coordinates);
 
   ray.strips = strips_of(lights, position, geometric_normal);
   const LightSample found =
@@ -200,7 +228,12 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   real f_r[3];
   scattering(&s, found.towards, f_r);
   const real weight = found.density / (found.density + scattering_density(&s, found.towards));
+#if HAS_GLASS
+  const real of_glass = glass_light_weight(&s, found.towards, found.density, 0);
+  const real scale = cosine * SELECT(SELECT((real)1.0f, weight, both_ways), of_glass, is_glass(&s));
+#else
   const real scale = cosine * SELECT((real)1.0f, weight, both_ways);
+#endif
   Ray shadow;
   shadow.origin = ray.origin;
   shadow.direction = found.segment;
@@ -240,6 +273,15 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #else
   (void)guide_place;
 #endif
+#if HAS_PANES
+  Ray before = ray;
+  before.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
+#if HAS_ROWS
+  before.strips = AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first));
+#endif
+  before.behind = behind + hit.distance;
+  before.passed = passed;
+#endif
   const uint branches = bounce == 1 ? BRANCHES : 1;
   const float share = 1.0f / (float)branches;
   for (uint branch = 0; branch < branches; ++branch) {
@@ -249,8 +291,17 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     Ray next = ray;
     next.path += branch * places;
     next.throughput = scaled(ray.throughput, (real)share);
+#if HAS_PANES
+    const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
+                                 on_surface && both_ways, &next, &brought) &&
+                        past_panes(&s, &before, is_lit, geometric_normal, &next);
+#else
     const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
                                  on_surface && both_ways, &next, &brought);
+#endif
+#if HAS_GLASS
+    next.origin = leaving_from(position, geometric_normal, offset, next.direction);
+#endif
     append_rays(&next, alive, 0, next_plane, next_wave);
   }
   /* What roulette is expected to find may be negative. */

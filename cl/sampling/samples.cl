@@ -24,6 +24,8 @@
  * With WARPED (warp.cl or warp_triangles.cl joined before) each point's samples follow its record in `density`,
  * and `weight` takes one over the density at each sample, by which its value counts.
  *
+ * Random numbers of shading point k are those of point first_id + k of the image, which these may be a part of.
+ *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers; one work-item handles
  * BLOCKS_A_ITEM blocks of VEC consecutive samples of one point, whose own arithmetic (the point, its
  * scramble, its occluders) they share. Blocks of a point are dealt to its work-items in turn, so that
@@ -31,7 +33,7 @@
  */
 
 kernel void draw_samples(const uint first_point, const uint point_count, const uint total_points,
-                         const uint first_sample, const uint sample_count, const uint stride,
+                         const uint first_id, const uint first_sample, const uint sample_count, const uint stride,
                          const uint stream, const uint seed_low, const uint seed_high,
                          global const uint *restrict order, global const float *restrict surface,
                          global const float *restrict integrand_data,
@@ -69,9 +71,9 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     const ulong at = (ulong)local_point * stride + block * VEC;
     real own_u, own_v;
 #if SLICES
-    sample_azimuths(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
+    sample_azimuths(point + first_id, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
 #else
-    sample_square(point, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
+    sample_square(point + first_id, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
 #endif
 #if WARPED
     global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
@@ -199,7 +201,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
 
 /* Mean of the unshadowed integrand over MEAN_SAMPLES points of the square, a plane of `point_count` floats
  * a channel. One work-item a shading point. */
-kernel void unshadowed_means(const uint point_count, const uint total_points, const uint stream,
+kernel void unshadowed_means(const uint point_count, const uint total_points, const uint first_id, const uint stream,
                              const uint seed_low, const uint seed_high,
                              global const float *restrict surface,
                              global const float *restrict integrand_data, global float *restrict means) {
@@ -212,7 +214,7 @@ kernel void unshadowed_means(const uint point_count, const uint total_points, co
     real sample_u, sample_v, distance;
     real value[CHANNELS];
     real direction[3];
-    sample_square(point, LANE_NUMBER + first, stream, seed_low, seed_high, &sample_u, &sample_v);
+    sample_square(point + first_id, LANE_NUMBER + first, stream, seed_low, seed_high, &sample_u, &sample_v);
     evaluate_integrand(&p, integrand_data, sample_u, sample_v, value, direction, &distance);
     for (uint channel = 0; channel < CHANNELS; ++channel) sum[channel] += value[channel];
   }

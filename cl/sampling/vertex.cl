@@ -27,7 +27,9 @@ real largest_of(const triple t) { return max(t.x, max(t.y, t.z)); }
 real mean_of(const triple t) { return (t.x + t.y + t.z) * (1.0f / 3.0f); }
 
 whole is_shiny(const Scatterer *s) {
-#if HAS_SPECULAR
+#if HAS_GLASS
+  return is_glass(s) || (s->reflectance.x + s->reflectance.y + s->reflectance.z > 0.0f);
+#elif HAS_SPECULAR
   return s->reflectance.x + s->reflectance.y + s->reflectance.z > 0.0f;
 #else
   (void)s;
@@ -57,6 +59,11 @@ void load_hit(global const float *restrict triangles, global const uint *restric
 #if HAS_SPECULAR
   s->reflectance = gather_triple(triangles, at + TRIANGLE_REFLECTANCE);
   s->roughness = gather(triangles, at + TRIANGLE_ROUGHNESS);
+#endif
+#if HAS_GLASS
+  /* As relative_index. */
+  const real ior = gather(triangles, at + TRIANGLE_IOR);
+  s->eta = SELECT(ior, 1.0f / max(ior, (real)1e-3f), (ior > 0.0f) && (dot_triple(own, outgoing) < 0.0f));
 #endif
 #if HAS_NORMALS
   const whole smooth = gather(triangles, at + TRIANGLE_OFFSET) < 0.0f;
@@ -141,17 +148,34 @@ whole next_ray(const Scatterer *s, const triple geometric_normal, const whole ce
 #endif
   ray->direction = sample_scattering(s, u, v);
   ray->density = scattering_density(s, ray->direction);
-  ray->throughput =
-      product(ray->throughput, bounce_throughput(s, geometric_normal, ray->direction, ray->density));
+  triple worth = bounce_throughput(s, geometric_normal, ray->direction, ray->density);
+#if HAS_GLASS
+  const whole glass = is_glass(s);
+  real inside = (real)1.0f;
+  if (ANY(glass)) {
+    const GlassRay own = sample_glass(s, geometric_normal, square_u, square_v, 0);
+    ray->direction = select_triple(ray->direction, own.direction, glass);
+    worth = select_triple(worth, own.throughput, glass);
+    ray->density = SELECT(ray->density, own.density, glass);
+    /* Where paths go on in the denser medium their throughput is that much smaller, and what they bring is not. */
+    const real eta = SELECT((real)1.0f, s->eta, s->eta > 0.0f);
+    inside = SELECT((real)1.0f, max(eta * eta, 1.0f / (eta * eta)), own.passes != (eta < 1.0f));
+  }
+#endif
+  ray->throughput = product(ray->throughput, worth);
   whole alive = reached && (largest_of(ray->throughput) > 0.0f);
   if (bounce >= ROULETTE_BOUNCE) {
 #if GUIDED
     /* How far what is ended may be from what stands for it, in what paths usually bring. */
     const whole known = cell * KNOWN_FLOATS;
     const real need = gather(guide_known, known + KNOWN_NEED) * mean_of(ray->throughput);
-    const real survival = clamp(ROULETTE_SCALE * need, (real)LEAST_SURVIVE, (real)MOST_SURVIVE);
+    real survival = clamp(ROULETTE_SCALE * need, (real)LEAST_SURVIVE, (real)MOST_SURVIVE);
 #else
-    const real survival = min(ROULETTE_SCALE * largest_of(ray->throughput), (real)MOST_SURVIVE);
+    real survival = min(ROULETTE_SCALE * largest_of(ray->throughput), (real)MOST_SURVIVE);
+#endif
+#if HAS_GLASS
+    const real of_glass = min(GLASS_ROULETTE_SCALE * inside * largest_of(ray->throughput), (real)MOST_SURVIVE);
+    survival = SELECT(survival, of_glass, glass);
 #endif
     const whole survives = alive && (chance < survival);
     const real scale_up = 1.0f / max(survival, (real)1e-20f);
@@ -180,3 +204,36 @@ real moved_on(const real x, const float part) {
   const real moved = x + part;
   return min(moved - SELECT((real)0.0f, (real)1.0f, moved >= 1.0f), (real)BELOW_ONE);
 }
+
+#if HAS_GLASS
+/* Where rays begin that leave a surface, `offset` off it, on the side of their direction. */
+triple leaving_from(const triple position, const triple normal, const real offset, const triple direction) {
+  return sum_of(position, normal, SELECT(-offset, offset, dot_triple(normal, direction) > 0.0f));
+}
+
+/* A path's first ray from a point of glass. Without DIRECT the light that it reflects is estimated apart. */
+void enter_glass(const Scatterer *s, const ShadingPoint *p, const real u, const real v, Ray *ray) {
+  const triple normal = to_triple(p->geometric_normal);
+  const GlassRay own = sample_glass(s, normal, u, v, 1);
+  ray->direction = own.direction;
+  ray->throughput = own.throughput;
+  ray->density = SELECT(DIRECT ? own.density : (real)0.0f, own.density, own.passes);
+  ray->origin = leaving_from(to_triple(p->position), normal, (real)p->offset, own.direction);
+#if HAS_PANES
+  ray->passed = SELECT((real)0.0f, (real)1.0f, own.passes && (s->eta < 0.0f));
+#endif
+}
+#endif
+
+#if HAS_PANES
+/* A ray that goes through a pane stays what it was `before`: of the same surface, whose sampling of lights has seen
+ * through the pane too. Returns which lanes go on: what a pane reflects only while it `is_lit`. */
+whole past_panes(const Scatterer *s, const Ray *before, const whole is_lit, const triple normal, Ray *next) {
+  const whole passes = (s->eta < 0.0f) && (dot_triple(normal, next->direction) < 0.0f);
+  next->density = SELECT(next->density, before->density, passes);
+  next->strips = SELECT(next->strips, before->strips, passes);
+  next->behind = SELECT((real)0.0f, before->behind, passes);
+  next->passed = before->passed + SELECT((real)0.0f, (real)1.0f, passes);
+  return passes || is_lit;
+}
+#endif

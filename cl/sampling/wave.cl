@@ -2,7 +2,7 @@
  *
  * Memory layout: HEADER words, then planes of 32-bit words, ray i at i of each: those of PLANES in wave.py, which says
  * what they hold. Triangles, paths and strips are whole numbers, `lit` has bytes; strips are kept where there are
- * rows of them.
+ * rows of them, and of a ray that went through panes how far back it began and through how many, where there are some.
  * Words 0 and COUNT_STEP of the header count the rays and the shadow rays, on cache lines of their own. Planes are as
  * long as a bounce needs, so that what the host maps is short. Which ray a path gets may differ between runs.
  *
@@ -21,7 +21,9 @@
 #endif
 
 /* Numbers of a ray that goes on. */
-#define ROWS_OF_RAY (HAS_ROWS ? 12 : 11)
+#define STRIPS_ROW 11
+#define PANES_ROW (HAS_ROWS ? 12 : 11)
+#define ROWS_OF_RAY (HAS_PANES ? PANES_ROW + 2 : PANES_ROW)
 #define PLANE(wave, number) ((wave) + HEADER + (number) * (ulong)plane)
 
 typedef struct {
@@ -29,6 +31,9 @@ typedef struct {
   bits path;
   real density;
   whole strips;
+#if HAS_PANES
+  real behind, passed;
+#endif
 } Ray;
 
 /* Appends the rays of lanes that are alive to those that `count_at` counts; shadow rays leave their density and
@@ -59,6 +64,9 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
 #if HAS_ROWS
                                      , AS_REAL(ray->strips)
 #endif
+#if HAS_PANES
+                                     , ray->behind, ray->passed
+#endif
   };
   if (count == VEC) {
 #pragma unroll
@@ -68,7 +76,11 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
     if (!is_shadow) STORE(numbers[9], density);
     STORE(numbers[10], path);
 #if HAS_ROWS
-    if (!is_shadow) STORE(numbers[11], PLANE(wave, WAVE_STRIPS) + at);
+    if (!is_shadow) STORE(numbers[STRIPS_ROW], PLANE(wave, WAVE_STRIPS) + at);
+#endif
+#if HAS_PANES
+    if (!is_shadow) STORE(numbers[PANES_ROW], PLANE(wave, WAVE_BEHIND) + at);
+    if (!is_shadow) STORE(numbers[PANES_ROW + 1], PLANE(wave, WAVE_PASSED) + at);
 #endif
     return;
   }
@@ -83,7 +95,11 @@ void append_rays(const Ray *ray, const whole alive, const int is_shadow, const u
     if (!is_shadow) density[i] = number[9][lane];
     path[i] = number[10][lane];
 #if HAS_ROWS
-    if (!is_shadow) (PLANE(wave, WAVE_STRIPS) + at)[i] = number[11][lane];
+    if (!is_shadow) (PLANE(wave, WAVE_STRIPS) + at)[i] = number[STRIPS_ROW][lane];
+#endif
+#if HAS_PANES
+    if (!is_shadow) (PLANE(wave, WAVE_BEHIND) + at)[i] = number[PANES_ROW][lane];
+    if (!is_shadow) (PLANE(wave, WAVE_PASSED) + at)[i] = number[PANES_ROW + 1][lane];
 #endif
   }
 }

@@ -9,13 +9,12 @@ from ..host.files import check_paths
 from ..host.interrupt import StopOnSignal
 from ..integrands import AmbientOcclusion
 from ..output.image import check_output_path
-from ..scene.load import load_scene
 from ..scene.uv_mesh import read_uv_mesh
 from ..sensing.bake import bake
 from ..sensing.point_estimate import POINT_GROUPS
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
-from .common import Help, add_common, write_json
+from .common import Help, add_common, add_scene, load, workers, write_json
 
 
 def add_bake(commands: argparse._SubParsersAction) -> None:
@@ -23,8 +22,8 @@ def add_bake(commands: argparse._SubParsersAction) -> None:
     text = "ambient occlusion or light as a map over a mesh's UVs"
     parser = commands.add_parser("bake", help=text, description=text, formatter_class=Help)
     add = parser.add_argument
-    add("scene", help="scene file (.toml), of which the mesh is a part")
-    add("mesh", help="the mesh with its UVs, where it is in the scene: .obj, .ply, .gltf or .glb")
+    add_scene(parser)
+    add("mesh", help="a mesh of the scene, with its UVs, where it is: .obj, .ply, .gltf or .glb")
     add("--integrand", choices=("ao", "direct", "gi"), default="ao", help="of light: irradiance over pi")
     add("--radius", type=float, help="ambient occlusion: farthest occluder (default: any)")
     add("--size", type=int, default=512, metavar="N", help="texels of a side")
@@ -53,13 +52,14 @@ def _bake(options: argparse.Namespace) -> int:
         integrand = AmbientOcclusion(options.radius)
     chosen = [read_arguments(options, GROUPS[name]) for name in POINT_GROUPS]
     names = ("size", "samples", "padding", "method", "spp", "seed", "device", "target_error")
-    with StopOnSignal() as stop:
+    with workers(options) as executor, StopOnSignal() as stop:
         image = bake(
-            load_scene(options.scene),
+            load(options),
             read_uv_mesh(options.mesh),
             integrand=integrand,
             progress=True,
             stop=stop,
+            executor=executor,
             **{name: getattr(options, name) for name in names},
             **{name: value for group in chosen for name, value in group.items()},
         )

@@ -9,12 +9,11 @@ from ..host.files import check_paths
 from ..host.interrupt import StopOnSignal
 from ..integrands import AmbientOcclusion
 from ..output.point_files import check_suffix, read_points, write_values
-from ..scene.load import load_scene
 from ..sensing.point_estimate import POINT_GROUPS
 from ..sensing.sense import ambient_occlusion, irradiance
 from ..settings.arguments import add_arguments, read_arguments
 from ..settings.options import GROUPS
-from .common import Help, add_common, write_json
+from .common import Help, add_common, add_scene, load, workers, write_json
 
 
 def add_sense(commands: argparse._SubParsersAction) -> None:
@@ -22,7 +21,7 @@ def add_sense(commands: argparse._SubParsersAction) -> None:
     text = "irradiance or ambient occlusion at points, with standard errors"
     parser = commands.add_parser("sense", help=text, description=text, formatter_class=Help)
     add = parser.add_argument
-    add("scene", help="scene file (.toml)")
+    add_scene(parser)
     add("points", help="positions and normals: .csv (x,y,z,nx,ny,nz), .npy (n, 6) or .ply")
     add(
         "--integrand",
@@ -58,13 +57,14 @@ def _sense(options: argparse.Namespace) -> int:
         own["radius"] = options.radius
     chosen = [read_arguments(options, GROUPS[name]) for name in POINT_GROUPS]
     names = ("method", "spp", "seed", "device", "target_error")
-    with StopOnSignal() as stop:
+    with workers(options) as executor, StopOnSignal() as stop:
         found = (ambient_occlusion if options.integrand == AmbientOcclusion.name else irradiance)(
-            load_scene(options.scene),
+            load(options),
             points[:, :3],
             points[:, 3:],
             progress=True,
             stop=stop,
+            executor=executor,
             **own,
             **{name: getattr(options, name) for name in names},
             **{name: value for group in chosen for name, value in group.items()},

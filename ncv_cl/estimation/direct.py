@@ -88,7 +88,7 @@ class DirectEstimate:
         last = int(np.searchsorted(edges, direct_samples(samples)))
         if last > estimate.done:
             passes.run("direct", first=estimate.done, last=last)
-        if rest is None:
+        if rest is None or passes.stopped:
             return
         enough = tuning.DIRECT_ERROR * rest.image_error()
         most = tuning.MOST_DIRECT * samples
@@ -97,6 +97,8 @@ class DirectEstimate:
             if not self.image_error() > enough:
                 return
             passes.run("direct", first=estimate.done, last=estimate.done + 1)
+            if passes.stopped:
+                return
 
     @property
     def samples(self) -> float:

@@ -114,7 +114,7 @@ def draw(
     after_pass()
     if not problem.points.active:
         return "samples"
-    if settings.stopping.time_limit is not None:
+    if settings.stopping.time_limit is not None and problem.carrier is None:
         with run.watch("compile"):
             image_estimate.warm_up()
     stopping = Stopping(image_estimate, target, run, direct)
@@ -130,7 +130,7 @@ def draw(
     if image_estimate.done and run.clock.over():
         return "time_limit"
     image_estimate.passes.run("render", run.progress, enough, image_estimate.done)
-    return stopping.ended_by
+    return "request" if image_estimate.passes.stopped else stopping.ended_by
 
 
 def finish(

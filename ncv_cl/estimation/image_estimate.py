@@ -69,7 +69,8 @@ class ImageEstimate:
         self._problem, self._settings = problem, settings
         self._points = points
         self._magnitude = density.magnitude if density is not None else None
-        self._first = Accumulator(device, points, channels, folded)
+        elsewhere = problem.carrier is not None
+        self._first = Accumulator(device, points, channels, folded, on_host=elsewhere)
         self._second: Accumulator | None = None
         by_default = PLAIN if folded is None else RESIDUAL
         once, again = streams or by_default
@@ -79,16 +80,22 @@ class ImageEstimate:
         # are estimated twice.
         if points.active and settings.sampling.sampler != "independent":
             self.twice = points_done_twice(points.active, settings.seed)
-            self._second = Accumulator(device, points, channels, folded, self.twice)
+            self._second = Accumulator(device, points, channels, folded, self.twice, elsewhere)
             restricted = allocation.restricted(self.twice, points.active)
             targets.append(Target(self._second, restricted, again))
         warp = None
         if density is not None and folded is not None:
-            warp = _warp(device, settings.residual_density, folded, density)
-        self.passes = Passes(problem, targets, edges, warp, watch, self._keep_parts)
+            warp = warp_of(device, settings.residual_density, folded, density)
+        if problem.carrier is None:
+            self.passes = Passes(problem, targets, edges, warp, watch, self._keep_parts)
+        else:
+            self.passes = problem.carrier.passes(self, problem, targets, edges, watch)
         # The means after the last two pass numbers that are powers of two.
         self.parts: list[np.ndarray] = []
         self.done = 0
+        # Of a step of passes that is drawn point by point: which points are done, and up to which pass.
+        self.ahead: np.ndarray | None = None
+        self.ahead_to = 0
         self._warp = warp
         # Samples that follow a density lie where the residual is large, so their own variance predicts
         # errors well, and halves are not needed. Paths' noise is elsewhere as well.
@@ -117,7 +124,8 @@ class ImageEstimate:
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
         second = self._second.result(quantity)
         # If the last kept mean is that of all samples, the one before it is the part.
-        parts = self.parts[:-1] if _is_power_of_two(self.done) else self.parts
+        done = self.done if self.ahead is None else self.ahead_to
+        parts = self.parts[:-1] if _is_power_of_two(done) else self.parts
         if parts:
             expected = halves(first.mean, parts[-1][quantity], *self._grid)
             repeated = expected[:, self.twice]
@@ -135,9 +143,8 @@ class ImageEstimate:
         """
         del self.passes
         self._warp = None
-        for accumulator in (self._first, self._second):
-            if accumulator is not None:
-                accumulator.network = None
+        for accumulator in self.accumulators:
+            accumulator.network = None
         results = self.results()
         return results[0], results[1] if len(results) > 1 else None
 
@@ -146,6 +153,39 @@ class ImageEstimate:
         self.done = done
         if self._looks_at_parts and _is_power_of_two(done):
             self.parts = [*self.parts[-1:], self._first.means()]
+
+    @property
+    def accumulators(self) -> list[Accumulator]:
+        """Of all points, and of those that are estimated twice."""
+        return [one for one in (self._first, self._second) if one is not None]
+
+    def begin_step(self, first: int, last: int) -> list[int]:
+        """Let passes from `first` to before `last` be drawn points by points, and given to `keep_tile`.
+
+        Returns the numbers of passes after which the points' means are wanted.
+        """
+        powers = [1 << k for k in range(last.bit_length()) if first < 1 << k <= last]
+        wanted = powers[-2:] if self._looks_at_parts else []
+        if self.ahead is None:
+            self.ahead, self.ahead_to = np.zeros(self._points.active, bool), last
+            # Points that are not reached keep what they had.
+            shape = (self._first.quantities, self._first.channels, self._points.active)
+            before = self.parts[-1] if self.parts else np.zeros(shape)
+            self.parts = [*self.parts, *(before.copy() for _ in wanted)][-2:]
+        return wanted
+
+    def keep_tile(self, points: range, states: list[tuple], means: list[np.ndarray]) -> None:
+        """Take what has come of some points: what `Accumulator.take` takes, and the means wanted."""
+        own = slice(points.start, points.stop)
+        for accumulator, state in zip(self.accumulators, states, strict=True):
+            accumulator.take(points, *state)
+        for part, mean in zip(self.parts[len(self.parts) - len(means) :], means, strict=True):
+            part[..., own] = mean
+        self.ahead[own] = True
+
+    def end_step(self) -> None:
+        """All points have come."""
+        self.done, self.ahead = self.ahead_to, None
 
     @property
     def _grid(self) -> tuple[np.ndarray, int, int]:
@@ -192,10 +232,15 @@ class ImageEstimate:
 
     def states(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """What `restore` takes."""
-        return [one.state() for one in (self._first, self._second) if one is not None]
+        return [one.state() for one in self.accumulators]
 
     def restore(
-        self, states: list[tuple[np.ndarray, np.ndarray]], parts: list[np.ndarray], done: int
+        self,
+        states: list[tuple[np.ndarray, np.ndarray]],
+        parts: list[np.ndarray],
+        done: int,
+        ahead: np.ndarray | None = None,
+        ahead_to: int = 0,
     ) -> None:
         """Go on from another image_estimate's `states` and `parts` after `done` passes.
 
@@ -204,12 +249,15 @@ class ImageEstimate:
         ValueError
             If these are not of the same points, channels and passes.
         """
-        accumulators = [one for one in (self._first, self._second) if one is not None]
+        accumulators = self.accumulators
         shape = (self._first.quantities, self._first.channels, self._points.active)
         fits = len(states) == len(accumulators) and done <= self.passes.number
+        if ahead is not None:
+            fits = fits and len(ahead) == shape[2] and done < ahead_to <= self.passes.number
         if not fits or any(part.shape != shape for part in parts):
             raise ValueError("the checkpoint's arrays do not fit this render: it was tampered with")
         self.parts, self.done = parts, done
+        self.ahead, self.ahead_to = ahead, ahead_to
         for accumulator, state in zip(accumulators, states, strict=True):
             accumulator.restore(*state)
 
@@ -222,7 +270,7 @@ def error_of(estimate: Estimate, settings: Settings) -> float:
     return float(variance) / (pixels * settings.sampling.supersample**4)
 
 
-def _warp(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:
+def warp_of(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:
     """The `Warp` that draws samples by a density of this kind."""
     if kind == "subdivision":
         return TriangleWarp(device, folded, density)

@@ -117,6 +117,9 @@ class Passes:
         self._orders = [HostArray.of(problem.device, target.allocation.chosen) for target in targets]
         self.edges = edges
 
+    stopped = False
+    """Whether the last `run` was asked to end in the middle of a pass."""
+
     @property
     def number(self) -> int:
         """How many passes there are."""

@@ -62,10 +62,10 @@ def say(text: str) -> None:
         raise OSError(f"standard output cannot be written to: {reason}") from error
 
 
-def complain(text: str) -> None:
+def complain(text: str, kind: str = "error") -> None:
     """Print a line on standard error, unless that is closed."""
     try:
-        print(f"ncv-cl: error: {text}", file=sys.stderr, flush=True)
+        print(f"ncv-cl: {kind}: {text}", file=sys.stderr, flush=True)
     except OSError:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 

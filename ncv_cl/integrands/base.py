@@ -229,6 +229,16 @@ class Integrand:
         """
         return None
 
+    def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
+        """What to warn of that the integrand leaves out of what the camera sees; None: nothing.
+
+        Parameters
+        ----------
+        material : ndarray
+            int32 (points,), index of each point's material.
+        """
+        return None
+
     def emitted(self, scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Radiance that points on lights emit, which is added to the pixels, float32 (points, 3).
 

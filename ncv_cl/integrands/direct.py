@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..points.points import ShadingPoints
+from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
@@ -85,6 +86,16 @@ class DirectLight(Integrand):
     def glow(self, scene: Scene, material: np.ndarray) -> np.ndarray:
         return emissions(scene)[material]
 
+    def unseen(self, scene: Scene, material: np.ndarray) -> str | None:
+        seen = np.unique(material)
+        names = [scene.materials[one].name for one in seen if scene.materials[one].is_glass]
+        if not names:
+            return None
+        return (
+            f"{scene.name}: direct light shows of glass only the lights that it reflects, it is black "
+            f"otherwise ({', '.join(names)}); what is seen through it needs integrand gi"
+        )
+
     def _check_lights(self, scene: Scene) -> None:
         hidden = np.flatnonzero(hidden_materials(scene))
         if len(hidden) and not self._part:
@@ -109,4 +120,9 @@ class DirectPart(DirectLight):
 
 def scattering_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
-    return {"HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials))}
+    return {
+        "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),
+        "HAS_GLASS": int(scene.has_glass),
+        # What is smooth is not rough by a rounding.
+        "SMOOTH_GLASS": f"{SMALLEST_ROUGHNESS * (1 + 1e-6)!r}f",
+    }

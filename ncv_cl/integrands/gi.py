@@ -34,7 +34,7 @@ class GlobalIllumination(Integrand):
     """
 
     name = "gi"
-    files = ("bsdf", "bounce", *LIGHT_FILES, "environment", "gi")
+    files = ("bsdf", "bounce", "dielectric", *LIGHT_FILES, "environment", "gi")
     channels = 3
     inputs = ("position", "normal", "outgoing", "albedo", "roughness")
     demodulated = False

@@ -183,7 +183,9 @@ def _mean_irradiance(cells: Cells, lights: Lights) -> np.ndarray:
         height = place @ normal.T - (corner * normal).sum(axis=1)
         emitted = np.where(lights.two_sided, np.abs(height), np.maximum(height, 0))
         # Balls face every place.
-        emitted[:, balls] = np.sqrt(_squared_distances(place, corner[balls])) * lights.sent(balls, place)
+        to = place[:, None] - corner[balls]
+        away = np.maximum(np.linalg.norm(to, axis=2), 1e-300)
+        emitted[:, balls] = away * lights.sent(balls, to / away[..., None])
         found = np.zeros_like(total)
         for u, v in on_light:
             at = lights.at(u, v)

@@ -12,8 +12,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..scene.lights.kinds import DiscLight, SphereLight
+from ..scene.lights.mesh import disc_axes, outer_radius
 from ..scene.load import Scene
-from ..scene.model import QuadLight
+from ..scene.model import Light, QuadLight
 
 # The shapes of lights, as light_shapes.cl knows them.
 PARALLELOGRAM, TRIANGLE, DISC, BALL = range(4)
@@ -62,19 +64,27 @@ class Lights:
     strip: np.ndarray
 
     @staticmethod
-    def of(lights: tuple[QuadLight, ...]) -> Lights:
+    def of(lights: tuple[Light, ...]) -> Lights:
         """A scene's lights, each with a strip of its own."""
-        corner, edge1, edge2, radiance = (
-            np.array([getattr(light, name) for light in lights], np.float64).reshape(-1, 3)
-            for name in ("corner", "edge1", "edge2", "radiance")
-        )
-        return Lights._flat(
-            corner,
-            np.stack([edge1, edge2], axis=1),
-            radiance,
-            np.array([light.two_sided for light in lights], bool),
-            np.full(len(lights), PARALLELOGRAM),
+        forms = [_form(light) for light in lights]
+        vectors = np.array([form[:3] for form in forms], np.float64).reshape(-1, 3, 3)
+        shape = np.array([form[3] for form in forms], np.int64)
+        two_sided = [getattr(light, "two_sided", True) for light in lights]
+        found = Lights._flat(
+            vectors[:, 0],
+            vectors[:, 1:],
+            np.array([light.radiance for light in lights], np.float64).reshape(-1, 3),
+            np.array(two_sided, bool),
+            shape,
             np.arange(len(lights)),
+        )
+        is_round = (shape == DISC) | (shape == BALL)
+        area = np.array([light.area for light in lights], np.float64)
+        return replace(
+            found,
+            area=np.where(is_round, area, found.area),
+            reach=np.array([form[4] for form in forms], np.float64),
+            beam=np.array([form[5] for form in forms], np.float64).reshape(-1, 5),
         )
 
     @staticmethod
@@ -131,13 +141,20 @@ class Lights:
         along = np.where(self.tapered[:, None], (1.0 - u) * v, v)
         return self.corner + u * self.edges[:, 0] + along * self.edges[:, 1]
 
-    def sent(self, balls: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """What `balls` send towards places (n, 3), over their radiance, float64 (n, balls)."""
-        to = places[:, None] - self.corner[balls]
-        to /= np.maximum(np.linalg.norm(to, axis=2, keepdims=True), 1e-300)
-        axis, outer, inverse = np.split(self.beam[balls], (3, 4), axis=1)
-        angle = np.arccos(np.clip((to * axis).sum(axis=2), -1.0, 1.0))
-        return np.clip((outer[:, 0] - angle) * inverse[:, 0], 0.0, 1.0)
+    def sent(self, light: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """What lights send along unit directions, over their radiance, float32 (...,).
+
+        Parameters
+        ----------
+        light : ndarray
+            Which, int (...,).
+        directions : ndarray
+            Float (..., 3).
+        """
+        beam = self.beam[light]
+        cosine = np.clip((directions * beam[..., :3]).sum(axis=-1), -1.0, 1.0)
+        inside = np.clip((beam[..., 3] - np.arccos(cosine)) * beam[..., 4], 0.0, 1.0)
+        return np.where(self.shape[light] == BALL, inside, 1.0).astype(np.float32)
 
     @property
     def power(self) -> np.ndarray:
@@ -209,6 +226,23 @@ class Lights:
             scale.append(factor)
         found = self.only(np.concatenate(chosen))
         return replace(found, radiance=found.radiance * np.concatenate(scale)[:, None])
+
+
+def _form(light: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray, int, float, np.ndarray]:
+    """Of `Lights`: corner and both edges, shape, reach and beam."""
+    if isinstance(light, QuadLight):
+        return light.corner, light.edge1, light.edge2, PARALLELOGRAM, 0.0, np.zeros(5)
+    if isinstance(light, DiscLight):
+        edge1, edge2 = (2 * light.radius * axis for axis in disc_axes(light.normal))
+        return light.centre - (edge1 + edge2) / 2, edge1, edge2, DISC, 0.0, np.zeros(5)
+    if isinstance(light, SphereLight):
+        # All angles are far from where this beam ends.
+        reach, beam = outer_radius(light.radius, light.subdivisions), np.array([0.0, 0.0, 1.0, 8.0, 1.0])
+        return light.centre, np.zeros(3), np.zeros(3), BALL, reach, beam
+    inner, outer = np.radians([light.inner_angle, light.outer_angle])
+    # An edge, where the angles are the same.
+    beam = np.array([*light.direction, outer, 1.0 / max(outer - inner, 1e-6)])
+    return light.position, np.zeros(3), np.zeros(3), BALL, outer_radius(light.radius, 0), beam
 
 
 @dataclass(frozen=True)

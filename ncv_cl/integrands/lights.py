@@ -280,7 +280,9 @@ def emitted_by_lights(scene: Scene, light: np.ndarray, outgoing: np.ndarray) -> 
     lights = light_sources(scene).lights
     front = np.einsum("pi,ip->p", lights.normal.astype(np.float32)[light], outgoing) > 0
     radiance = lights.radiance.astype(np.float32)
-    return radiance[light] * (front | lights.two_sided[light])[:, None]
+    return (
+        radiance[light] * (lights.sent(light, outgoing.T) * (front | lights.two_sided[light]))[:, None]
+    )
 
 
 def _steps(count: np.ndarray | int) -> np.ndarray:

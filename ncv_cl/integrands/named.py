@@ -12,6 +12,9 @@ from types import ModuleType
 from . import INTEGRANDS
 from .base import Integrand, IntegrandError
 
+# Begins the names of modules that are files of other people.
+FILE_MODULE = "ncv_cl_integrand_"
+
 
 def named_integrand(name: str) -> Integrand:
     """The integrand of that name with its default options.
@@ -33,7 +36,7 @@ def named_integrand(name: str) -> Integrand:
     if not separator:
         known = ", ".join(INTEGRANDS)
         raise ValueError(f"integrand must be one of {known}, or FILE.py:CLASS, got {name!r}")
-    module = _module_of(Path(file))
+    module = module_of(Path(file))
     found = getattr(module, attribute, None)
     if isinstance(found, type) and issubclass(found, Integrand):
         try:
@@ -49,14 +52,14 @@ def named_integrand(name: str) -> Integrand:
     return found
 
 
-def _module_of(path: Path) -> ModuleType:
+def module_of(path: Path) -> ModuleType:
     """The file, run as a module of a name that no other file has."""
     if path.suffix != ".py":
         raise IntegrandError(f"an integrand's file must end in .py: {path}")
     if not path.is_file():
         raise IntegrandError(f"there is no file {path}")
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
-    name = f"ncv_cl_integrand_{digest[:16]}"
+    name = f"{FILE_MODULE}{digest[:16]}"
     spec = importlib.util.spec_from_file_location(name, path.resolve())
     module = importlib.util.module_from_spec(spec)
     # Classes find their folder, and dataclasses their names, by way of this.

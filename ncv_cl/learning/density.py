@@ -15,7 +15,7 @@ from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
 from ..network.fold import POINTS_PER_FOLD, FoldedNetwork
 from ..network.network import Network, NetworkDescription, NetworkError
-from ..opencl.device import Device
+from ..opencl.device import GPU_LOCAL_BYTES, Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -25,8 +25,10 @@ from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
 from . import tuning
 from .train import TrainingSamples
 
-# Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
+# Work-groups of a gradient step at most; fixed, so that the order of additions does not depend on the
+# device. On GPUs their work-items and columns: a work-item a sample of the default's steps.
 GRADIENT_GROUPS = 16
+GPU_GROUPS, GPU_GROUP, GPU_COLUMNS = 64, 64, 4
 DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
@@ -253,6 +255,10 @@ class DensityTrainer:
         mean, deviation = features.mean(1, dtype=np.float64), features.std(1, dtype=np.float64)
         scale = np.where(deviation > 0, 1 / np.maximum(deviation, 1e-30), 0.0)
         self._mean, self._scale = (HostArray.of(device, a.astype(np.float32)) for a in (mean, scale))
+        # Whether a work-item takes a sample, or a vector of hidden units.
+        rows_bytes = 4 * DENSITY_CELLS * self.settings.hidden
+        by_lanes = device.lanes > 1 and device.vector_width == 1
+        self._by_samples = by_lanes and rows_bytes <= GPU_LOCAL_BYTES // 2
         self._program = self._build()
         self._squared = self._squared_residuals(unit)
         with self._squared.mapped() as squared:
@@ -262,7 +268,8 @@ class DensityTrainer:
         self._moments = {
             name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
         }
-        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
+        rows = GPU_GROUPS if self._by_samples else GRADIENT_GROUPS
+        self._partial = HostArray(device, (rows, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -278,7 +285,10 @@ class DensityTrainer:
             "ADAM_BETA2": f"{settings.beta2!r}f",
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
         }
-        return build(self.device, ("common", "mlp", "density"), defines)
+        if self._by_samples:
+            defines |= {"TILE": GPU_COLUMNS, "GROUP_ITEMS": GPU_GROUP}
+        step = "density_lanes" if self._by_samples else "density_gradients"
+        return build(self.device, ("common", "mlp", "density", step), defines)
 
     def _start(self, features: int) -> np.ndarray:
         """Random start: He-uniform units, and rows so small that e is near the samples' RMS."""
@@ -337,10 +347,12 @@ class DensityTrainer:
 
     def gradients(self, sample: int, first: int, count: int) -> int:
         """Enqueue one step's gradients; returns the number of rows of partial sums."""
-        samples, lanes = self._samples, self.device.lanes
-        groups = min(GRADIENT_GROUPS, count)
+        samples, group, columns = self._samples, self.device.lanes, 1
+        if self._by_samples:
+            group, columns = GPU_GROUP, GPU_COLUMNS
+        groups = min(self._partial.shape[0], -(-count // columns))
         self._program.kernel("density_gradients")(
-            groups * lanes,
+            groups * group,
             sample=sample,
             first=first,
             count=count,
@@ -354,7 +366,7 @@ class DensityTrainer:
             squared=self._squared,
             parameters=self._parameters,
             partial=self._partial,
-            group=lanes,
+            group=group,
         )
         return groups
 

@@ -23,6 +23,7 @@ from ..settings.schedule import Schedule
 from ..settings.settings import Settings
 from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
+from .growth import batch_growth, grown
 from .held_out import HeldOut
 from .train import Trainer, TrainingSamples
 
@@ -157,7 +158,8 @@ class _Learning:
             self._draw(Stream.HELD_OUT, chosen, samples, accumulator, held_out.store)
         for number, current in enumerate(budget.rounds, 1):
             began = time.perf_counter()
-            schedule, losses = self._schedule(slower, current), list(done.losses)
+            schedule = grown(self._schedule(slower, current), self._growth(current))
+            losses = list(done.losses)
             trainer = self._train(schedule, current, accumulator, done.trainer, losses)
             with self.run.watch("train"):
                 done.network, done.trainer, done.losses = trainer.network(), trainer, losses
@@ -196,6 +198,15 @@ class _Learning:
             rate=rate,
             final_rate=min(rate, schedule.final_rate),
             epochs=_enough_epochs(preset, epochs, len(current.chosen), len(current.samples)),
+        )
+
+    def _growth(self, current: Round) -> int:
+        """By how much minibatches grow; the slides' own schedule is kept."""
+        preset = self.settings.preset
+        return (
+            batch_growth(self.problem.device, preset.schedule, len(current.chosen))
+            if preset.subset
+            else 1
         )
 
     def _train(

@@ -79,6 +79,11 @@ def _report(device: Device) -> DeviceReport:
         return DeviceReport(device, None, f"its benchmark failed ({first_error(error)})")
 
 
+def device_is_chosen() -> bool:
+    """Whether a variable of the environment chooses the device."""
+    return bool(os.environ.get(VARIABLE) or os.environ.get(_PYOPENCLS_VARIABLE))
+
+
 def choose_device(selector: Device | int | str | None = None) -> Device:
     """The device to work on.
 

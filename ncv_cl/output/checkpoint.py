@@ -46,21 +46,27 @@ class Progress:
         Each accumulator's state and its points' numbers of samples.
     parts : list of ndarray
         As `ImageEstimate` keeps them.
+    ahead : ndarray, optional
+        bool (points,), the points that have come of a step of passes, where others have not.
+    ahead_to : int
+        The pass that these are done to.
     """
 
     edges: list[int]
     states: list[tuple[np.ndarray, np.ndarray]]
     parts: list[np.ndarray]
+    ahead: np.ndarray | None = None
+    ahead_to: int = 0
 
     @classmethod
     def of(cls, estimate: ImageEstimate) -> Progress:
         """Of an estimate under way."""
         edges = [int(edge) for edge in estimate.passes.edges[: estimate.done + 1]]
-        return cls(edges, estimate.states(), estimate.parts)
+        return cls(edges, estimate.states(), estimate.parts, estimate.ahead, estimate.ahead_to)
 
     def give_back(self, estimate: ImageEstimate) -> None:
         """Let an estimate that has not begun go on from here."""
-        estimate.restore(self.states, self.parts, self.passes)
+        estimate.restore(self.states, self.parts, self.passes, self.ahead, self.ahead_to)
 
     @property
     def passes(self) -> int:
@@ -72,6 +78,11 @@ class Progress:
         arrays = {f"{prefix}part{number}": part for number, part in enumerate(self.parts)}
         for number, (state, samples) in enumerate(self.states):
             arrays |= {f"{prefix}state{number}": state, f"{prefix}samples{number}": samples}
+        if self.ahead is not None:
+            arrays |= {
+                f"{prefix}ahead": self.ahead,
+                f"{prefix}ahead_to": np.array([self.ahead_to], np.int64),
+            }
         return arrays
 
     @classmethod
@@ -84,7 +95,11 @@ class Progress:
         ]
         names = [f"{prefix}part{number}" for number in (0, 1)]
         parts = [array_of(arrays, name, np.float64, (ANY, ANY, ANY)) for name in names if name in arrays]
-        return cls(_edges(edges), states, parts)
+        if f"{prefix}ahead" not in arrays:
+            return cls(_edges(edges), states, parts)
+        ahead = array_of(arrays, f"{prefix}ahead", np.bool_, (len(states[0][1]),))
+        (ahead_to,) = array_of(arrays, f"{prefix}ahead_to", np.int64, (1,)).tolist()
+        return cls(_edges(edges), states, parts, ahead, ahead_to)
 
 
 @dataclass(frozen=True)
@@ -189,6 +204,11 @@ class Checkpoint:
             guide_of(arrays),
             _counts(arrays) if "counts" in arrays else None,
         )
+
+    @property
+    def is_between_tasks(self) -> bool:
+        """Whether some points are ahead of others."""
+        return any(one is not None and one.ahead is not None for one in (self.image, self.direct))
 
     def check_arrays(self, channels: int, points: int, with_density: bool) -> None:
         """Refuse arrays of another number of points, beyond whose end kernels would read.

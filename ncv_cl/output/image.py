@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,14 @@ class Image:
             complete = Path(folder) / path.name
             _write_file(complete, path, names, data, attributes)
             os.replace(complete, path)
+
+    def show(self) -> None:
+        """Open the picture, tone-mapped as a PNG is, in the viewer of the desktop."""
+        show_png(self._repr_png_())
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows."""
+        return png_bytes(self.pixels)
 
     def _channels(self) -> tuple[tuple[str, ...], np.ndarray]:
         height, width, _ = self.pixels.shape
@@ -285,6 +294,21 @@ def _check_finite(what: str, values: np.ndarray) -> None:
 def _check_not_black(what: str, values: np.ndarray) -> None:
     if not np.any(values):
         raise ValueError(f"{what} is black everywhere, so relative errors have no scale")
+
+
+def png_bytes(pixels: np.ndarray) -> bytes:
+    """Linear RGB as the bytes of a PNG, as `Image.write` makes one."""
+    with tempfile.TemporaryDirectory(prefix=PREFIX) as folder:
+        file = Path(folder) / "shown.png"
+        _write_file(file, file, _RGB, _tone_map(pixels), {"oiio:ColorSpace": "srgb"})
+        return file.read_bytes()
+
+
+def show_png(content: bytes) -> None:
+    """Open a PNG in the viewer of the desktop; its file, a temporary one, stays for it."""
+    with tempfile.NamedTemporaryFile(prefix="ncv_cl-", suffix=".png", delete=False) as file:
+        file.write(content)
+    webbrowser.open(Path(file.name).as_uri())
 
 
 def _tone_map(pixels: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ EDGEWISE = 0.01
 # Vectors whose length differs from 1 by no more are taken as they are.
 UNIT_ROUNDING = 1e-6
 # A sensor's material: what it reflects, times pi, is what it receives.
-WHITE_RECORD = MATERIAL.pack(albedo=(1, 1, 1), reflectance=(0, 0, 0), roughness=1)[None]
+WHITE_RECORD = MATERIAL.pack(albedo=(1, 1, 1), reflectance=(0, 0, 0), roughness=1, ior=0)[None]
 # Bits of a coordinate in the order of points.
 _MORTON_BITS = 21
 

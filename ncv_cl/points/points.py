@@ -26,13 +26,15 @@ SURFACE = Record(
         "albedo": 3,
         "reflectance": 3,
         "roughness": 1,
+        "eta": 1,
         "lobe_share": 1,
         "detached": 1,
     },
 )
 # Of a camera, right and up reach to the sides of the picture at distance 1.
 CAMERA = Record("CAMERA", {"position": 3, "forward": 3, "right": 3, "up": 3})
-MATERIAL = Record("MATERIAL", {"albedo": 3, "reflectance": 3, "roughness": 1})
+# `ior` is 0 of what is no glass, negative of thin panes.
+MATERIAL = Record("MATERIAL", {"albedo": 3, "reflectance": 3, "roughness": 1, "ior": 1})
 # What an integrand may depend on, and a network's inputs be, in feature order: some of these.
 INPUTS = ("position", "normal", "outgoing", "albedo", "roughness")
 
@@ -77,6 +79,9 @@ class ShadingPoints:
         float64 (3,), world position of the scene's origin.
     emission_factor : ndarray, optional
         float32 (total, 3), what textures multiply the emission of each point's material by.
+    first_id : int
+        What the first point's number is in the whole image, where these are a part of its points: its
+        random numbers are those of that point.
     """
 
     surface: HostArray
@@ -88,6 +93,7 @@ class ShadingPoints:
     material: np.ndarray | None = None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     emission_factor: np.ndarray | None = None
+    first_id: int = 0
 
     @property
     def total(self) -> int:
@@ -142,7 +148,9 @@ def camera_record(camera: Camera, width: int, height: int) -> np.ndarray:
 def material_records(scene: Scene) -> np.ndarray:
     """What points.cl reads of the materials, float32 (materials, MATERIAL.size)."""
     records = [
-        MATERIAL.pack(albedo=one.albedo, reflectance=one.reflectance, roughness=one.roughness)
+        MATERIAL.pack(
+            albedo=one.tint, reflectance=one.facing, roughness=one.roughness, ior=one.signed_ior
+        )
         for one in scene.materials
     ]
     return np.array(records, np.float32).reshape(-1, MATERIAL.size)
@@ -170,6 +178,7 @@ def find_points(
     height: int,
     supersample: int = 1,
     emitters_active: bool = False,
+    chosen: np.ndarray | None = None,
 ) -> ShadingPoints:
     """Trace the camera's rays and keep what was hit.
 
@@ -182,19 +191,38 @@ def find_points(
     emitters_active : bool
         Whether points on area lights have an integral: they do for ambient occlusion, and do not for
         direct light, since lights reflect nothing.
+    chosen : ndarray, optional
+        uint32, increasing: sub-pixels whose points are wanted, all of which are active; by default all.
+
+    Raises
+    ------
+    ValueError
+        If nothing is hit at one that is chosen.
     """
     columns, rows = width * supersample, height * supersample
-    cells = columns * rows
+    cells = range(columns * rows)
+    if chosen is not None:
+        cells = range(int(chosen[0]), int(chosen[-1]) + 1)
     program = points_program(device)
     camera = HostArray.of(device, camera_record(scene.camera, width, height))
-    hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows)
+    hits = _trace_camera(device, tracer, program.kernel("camera_rays"), camera, columns, rows, cells)
 
-    cell = np.flatnonzero(hits.triangle >= 0).astype(np.uint32)
-    light = scene.triangle_light[hits.triangle[cell]]
-    if not emitters_active:
+    if chosen is None:
+        hit = np.flatnonzero(hits.triangle >= 0).astype(np.uint32)
+    else:
+        hit = chosen - np.uint32(cells.start)
+        if (hits.triangle[hit] < 0).any():
+            raise ValueError("a camera ray that hit the scene elsewhere does not hit it here")
+    light = scene.triangle_light[hits.triangle[hit]]
+    if chosen is None and not emitters_active:
         order = np.argsort(light >= 0, kind="stable")
-        cell, light = cell[order], light[order]
-    active = len(cell) if emitters_active else int(np.count_nonzero(light < 0))
+        hit, light = hit[order], light[order]
+    every = emitters_active or chosen is not None
+    active = len(hit) if every else int(np.count_nonzero(light < 0))
+    cell = (hit + cells.start).astype(np.uint32)
+    # Large images: only what is needed is kept.
+    hits = (hits.triangle[hit], hits.u[hit], hits.v[hit])
+    background = len(cells) - len(cell)
 
     surface = HostArray(device, (SURFACE.size, len(cell)), np.float32)
     program.kernel("shading_points")(
@@ -204,9 +232,9 @@ def find_points(
         rows=rows,
         total_points=len(cell),
         cells=HostArray.of(device, cell),
-        hit_triangle=HostArray.of(device, hits.triangle[cell].astype(np.uint32)),
-        hit_u=HostArray.of(device, hits.u[cell]),
-        hit_v=HostArray.of(device, hits.v[cell]),
+        hit_triangle=HostArray.of(device, hits[0].astype(np.uint32)),
+        hit_u=HostArray.of(device, hits[1]),
+        hit_v=HostArray.of(device, hits[2]),
         vertices=HostArray.of(device, scene.vertices),
         vertex_normals=HostArray.of(device, scene.vertex_normals),
         triangles=HostArray.of(device, scene.triangles),
@@ -215,11 +243,8 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
-    emission_factor = None
-    if varies(scene):
-        emission_factor = _vary(surface, scene, hits.triangle[cell], hits.u[cell], hits.v[cell])
-    material = scene.triangle_material[hits.triangle[cell]]
-    background = cells - len(cell)
+    emission_factor = _vary(surface, scene, *hits) if varies(scene) else None
+    material = scene.triangle_material[hits[0]]
     return ShadingPoints(
         surface, cell, light, active, background, 0, material, scene.origin, emission_factor
     )
@@ -245,14 +270,13 @@ def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
     return found.emission_factor.astype(np.float32)
 
 
-def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int) -> Hits:
-    cells = columns * rows
-    batch = min(CAMERA_RAYS_PER_BATCH, cells)
+def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int, cells: range) -> Hits:
+    batch = min(CAMERA_RAYS_PER_BATCH, len(cells))
     origins = HostArray(device, (batch, 3), np.float32)
     directions = HostArray(device, (batch, 3), np.float32)
     found = []
-    for first in range(0, cells, batch):
-        count = min(batch, cells - first)
+    for first in range(cells.start, cells.stop, batch):
+        count = min(batch, cells.stop - first)
         camera_rays(
             count,
             camera=camera,

@@ -13,6 +13,7 @@ from embreex.mesh_construction import TriangleMesh
 
 from ..scene.load import Scene
 from ..scene.textures.holes import Holes
+from .panes import Panes
 
 # Most and fewest rays a task: few enough to balance threads, many enough to hide the cost of a call.
 CHUNK = 1 << 14
@@ -61,6 +62,7 @@ class Tracer:
         self._scene = rtcore_scene.EmbreeScene(robust=True)
         TriangleMesh(self._scene, scene.vertices, scene.triangles.astype(np.int32))
         self._holes = Holes(scene) if scene.has_holes else None
+        self._panes = Panes(scene) if scene.has_panes else None
         self._pool = ThreadPoolExecutor(self.threads)
         # The first run commits the scene and must not race with another.
         ray = np.zeros((1, 3), np.float32)
@@ -82,12 +84,15 @@ class Tracer:
         directions: np.ndarray,
         distances: np.ndarray,
         out: np.ndarray,
+        light: np.ndarray | None = None,
     ) -> None:
         """Write 1 to `out` (uint8) where nothing lies between 0 and `distances` along a ray, else 0.
 
-        Directions need no unit length; distances are in multiples of them.
+        Directions need no unit length; distances are in multiples of them. With `light` (float32
+        (rays, 3)) thin panes are not in the way: what they let through multiplies it.
         """
-        self._in_chunks((len(origins), self._visible_part(origins, directions, distances, out)))
+        part = self._visible_part(origins, directions, distances, out, light)
+        self._in_chunks((len(origins), part))
 
     def closest_and_visible(
         self,
@@ -97,9 +102,10 @@ class Tracer:
         shadow_origins: np.ndarray,
         shadow_directions: np.ndarray,
         out: np.ndarray,
+        light: np.ndarray | None = None,
     ) -> None:
         """`closest` of some rays, `visible` to the ends of others: threads wait once for both."""
-        shadows = (shadow_origins, shadow_directions, np.ones(len(out), np.float32), out)
+        shadows = (shadow_origins, shadow_directions, np.ones(len(out), np.float32), out, light)
         self._in_chunks(
             (len(origins), self._closest_part(origins, directions, hits)),
             (len(shadow_origins), self._visible_part(*shadows)),
@@ -116,20 +122,36 @@ class Tracer:
             hits.distance[part] = found["tfar"]
             if self._holes is not None:
                 own = Hits(*(getattr(hits, name)[part] for name in vars(hits)))
-                self._pass_holes(origins[part], directions[part], own)
+                self._pass(origins[part], directions[part], own)
 
         return trace
 
-    def _pass_holes(
+    def _passes(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, panes: bool) -> np.ndarray:
+        """Which hits are in holes, or with `panes` on panes."""
+        found = np.zeros(len(triangle), bool)
+        if self._holes is not None:
+            found |= self._holes.at(triangle, u, v)
+        if panes and self._panes is not None:
+            found |= (triangle >= 0) & self._panes.triangles[triangle]
+        return found
+
+    def _pass(
         self,
         origins: np.ndarray,
         directions: np.ndarray,
         hits: Hits,
         farthest: np.ndarray | None = None,
+        light: np.ndarray | None = None,
     ) -> None:
-        """Go on where hits are in holes, to the next that are not, or to `farthest` along a ray."""
-        waiting = np.flatnonzero(self._holes.at(hits.triangle, hits.u, hits.v))
+        """Go on where hits are in holes, to the next that are not, or to `farthest` along a ray.
+
+        With `light` rays go on behind panes too, which multiply it.
+        """
+        panes = light is not None
+        waiting = np.flatnonzero(self._passes(hits.triangle, hits.u, hits.v, panes))
         step = np.full(len(origins), PAST_HOLE, np.float32)
+        if panes:
+            self._dim(light, waiting, hits, directions)
         while waiting.size:
             start, towards, passed = origins[waiting], directions[waiting], hits.triangle[waiting]
             distance = hits.distance[waiting]
@@ -142,33 +164,61 @@ class Tracer:
             is_left = left > 0
             found = self._scene.run(start + distance[:, None] * towards, towards, left, output=True)
             triangle = np.where(is_left, found["primID"], -1)
-            step[waiting] = np.where(triangle == passed, 2 * step[waiting], PAST_HOLE)
+            again = triangle == passed
+            step[waiting] = np.where(again, 2 * step[waiting], PAST_HOLE)
             hits.triangle[waiting] = triangle
             hits.u[waiting], hits.v[waiting] = found["u"], found["v"]
             hits.distance[waiting] = distance + found["tfar"]
-            waiting = waiting[self._holes.at(triangle, found["u"], found["v"])]
+            on = self._passes(triangle, found["u"], found["v"], panes)
+            if panes:
+                # A pane that rounding makes a ray meet twice dims it once.
+                self._dim(light, waiting[on & ~again], hits, directions)
+            waiting = waiting[on]
+
+    def _dim(self, light: np.ndarray, rays: np.ndarray, hits: Hits, directions: np.ndarray) -> None:
+        """Multiply `light` of those of the `rays` that hit panes."""
+        if self._panes is None:
+            return
+        rays = rays[self._panes.triangles[hits.triangle[rays]]]
+        light[rays] *= self._panes.let_through(
+            hits.triangle[rays], hits.u[rays], hits.v[rays], directions[rays]
+        )
 
     def _visible_part(
-        self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        distances: np.ndarray,
+        out: np.ndarray,
+        light: np.ndarray | None,
     ) -> Callable[[slice], None]:
         def trace(part: slice) -> None:
             blocked = self._scene.run(origins[part], directions[part], distances[part], query="OCCLUDED")
             np.less(blocked, 0, out=out[part].view(np.bool_))
-            if self._holes is not None:
-                self._see_through(origins[part], directions[part], distances[part], out[part])
+            if self._holes is not None or light is not None:
+                own = None if light is None else light[part]
+                self._see_through(origins[part], directions[part], distances[part], out[part], own)
 
         return trace
 
     def _see_through(
-        self, origins: np.ndarray, directions: np.ndarray, distances: np.ndarray, out: np.ndarray
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        distances: np.ndarray,
+        out: np.ndarray,
+        light: np.ndarray | None,
     ) -> None:
-        """Ask again about rays that are blocked: by holes alone, they are visible."""
+        """Ask again about rays that are blocked: by holes, or with `light` panes, they are visible."""
         blocked = np.flatnonzero(out == 0)
         starts, towards, farthest = origins[blocked], directions[blocked], distances[blocked]
         # embree writes hits' distances where it was given the farthest ones.
         found = self._scene.run(starts, towards, farthest.copy(), output=True)
         hits = Hits(*(found[name].copy() for name in ("primID", "u", "v", "tfar")))
-        self._pass_holes(starts, towards, hits, farthest)
+        own = None if light is None else light[blocked]
+        self._pass(starts, towards, hits, farthest, own)
+        if light is not None:
+            light[blocked] = own
         out[blocked] = hits.triangle < 0
 
     def _in_chunks(self, *work: tuple[int, Callable[[slice], None]]) -> None:

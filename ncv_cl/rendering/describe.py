@@ -35,6 +35,8 @@ def counts(
         stats["auto"] = outcome.plan.as_dict()
     if problem.slices is not None:
         stats["slices"] = problem.slices.as_dict()
+    if problem.carrier is not None:
+        stats["machines"] = problem.carrier.statistics()
     return stats | {"ended_by": drawn.ended_by}
 
 
@@ -70,3 +72,5 @@ def describe(
     image.metadata = found | {"method": settings.method}
     if "direct" in stats:
         image.metadata["direct_spp"] = stats["direct"]["samples_per_point"]
+    if problem.carrier is not None:
+        image.metadata["task_devices"] = problem.carrier.metadata()

@@ -10,15 +10,15 @@ import numpy as np
 from ..host.clock import Clock, Run, Stopwatch, never
 from ..opencl.choose import choose_device
 from ..opencl.device import Device
-from ..opencl.memory import HostArray
 from ..output.keep import Keep
 from ..output.report import finite
 from ..output.resolve import combine, estimate_of
-from ..points.points import SURFACE, ShadingPoints
-from ..sampling.callable import CallableSource, Function, HostIntegrand
+from ..points.points import ShadingPoints
+from ..sampling.callable import CallableSource, Function, HostIntegrand, function_points
 from ..sampling.problem import Problem
 from ..settings.options import MOST_CELLS, Sampling, Stopping, Training, changed, checked_whole, gathered
 from ..settings.settings import Settings
+from .carried.passes import carried
 from .pipeline import Outcome, estimate_integrals
 
 # There are usually few integrals, so a wider network costs little in all.
@@ -81,9 +81,10 @@ def estimate(
         Values of f.
     method : {"ncv", "mc"}
     spp, seed, device, sampling, training, stopping, **options
-        As `render` takes them; `spp` and `train_spp` are samples a point. For `train_spp` "auto" a call
-        of f is assumed to cost as much as a cheap sample of a scene. The preset is "wide" by default,
-        which leaves the least residual.
+        As `render` takes them, and options of the group machine; with an executor f must be one that can
+        be pickled, and is called by workers; `spp` and `train_spp` are samples a point. For `train_spp`
+        "auto" a call of f is assumed to cost as much as a cheap sample of a scene. The preset is "wide"
+        by default, which leaves the least residual.
 
     Returns
     -------
@@ -103,7 +104,12 @@ def estimate(
         raise ValueError(f"method must be ncv or mc, got {method!r}")
     if method == "mc" and training is WIDE:
         training = Training()
-    groups = gathered({"sampling": sampling, "training": training, "stopping": stopping}, options)
+    known = {"sampling": sampling, "training": training, "stopping": stopping, "machine": None}
+    groups = gathered(known, options)
+    machine = groups.pop("machine")
+    machine.check()
+    if machine.threads is not None:
+        raise ValueError("threads is for scenes")
     settings = Settings(HostIntegrand(channels), method, spp, (points, 1), seed, **groups)
     unused = sorted(OF_SCENES & set(changed(settings.sampling)))
     if settings.allocation in ("pilot", "relative"):
@@ -116,7 +122,8 @@ def estimate(
     source.centre()
     problem = Problem(device, shading, source, UNIT_CUBE, ("position",), is_image=False)
     run = Run(clock=Clock(settings.stopping.time_limit, started), stop=settings.stopping.stop or never)
-    outcome = estimate_integrals(problem, settings, run, Keep())
+    with carried(problem, machine, run) as problem:
+        outcome = estimate_integrals(problem, settings, run, Keep())
     return _integrals(problem, settings, outcome, run.watch, started)
 
 
@@ -128,7 +135,10 @@ def _integrals(
     offset = problem.source.offset[:, None]
     estimates = estimate_of(drawn.plain, drawn.residual, integral)
     mean, variance = combine(*estimates, training, float(settings.spp), outcome.by_count)
-    stats: dict[str, object] = {
+    stats: dict[str, object] = {}
+    if problem.carrier is not None:
+        stats["machines"] = problem.carrier.statistics()
+    stats |= {
         "seconds": {**watch.seconds, "total": time.perf_counter() - started},
         "samples_per_point": float(drawn.plain.samples.mean()),
         "training_samples_per_point": float(training.samples.mean()) if training else 0.0,
@@ -164,9 +174,4 @@ def _points_of(device: Device, points: int, features: np.ndarray | None) -> Shad
         positions[:, : features.shape[1]] = (0.5 * features - lower) / np.where(
             upper > lower, upper - lower, 1
         )
-    surface = np.zeros((SURFACE.size, points), np.float32)
-    surface[SURFACE["position"]] = positions.T
-    nowhere = np.full(points, -1, np.int32)
-    return ShadingPoints(
-        HostArray.of(device, surface), np.arange(points, dtype=np.uint32), nowhere, points, 0
-    )
+    return function_points(device, positions)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,6 +110,8 @@ def estimate_integrals(
         variate = control_variate(problem, settings, untimed, before.trained, save)
     if variate is None:
         keep.note_no_network()
+    if problem.carrier is not None:
+        problem.carrier.take(settings, variate, before.guide)
     drawn = _drawn(problem, settings, run, keep, before, variate)
     return Outcome(
         plan=plan,
@@ -153,15 +156,19 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
 def _direct(
     problem: Problem, settings: Settings, run: Run, resumed: Checkpoint | None
 ) -> DirectEstimate:
-    """Direct light apart, with its first samples or those of a checkpoint."""
-    first = int(edges_of(settings, problem.points.active)[1])
+    """Direct light apart, before its first sample or with those of a checkpoint."""
+    first = _first_samples(problem, settings)
     found = resumed.direct if resumed is not None else None
     edges = direct_edges(first, settings.spp, None if found is None else found.edges)
     direct = DirectEstimate(problem, settings, run, edges)
     if found is not None:
         found.give_back(direct.image_estimate)
-    direct.follow(first)
     return direct
+
+
+def _first_samples(problem: Problem, settings: Settings) -> int:
+    """Samples a point of the first pass."""
+    return int(edges_of(settings, problem.points.active)[1])
 
 
 def _drawn(
@@ -176,6 +183,9 @@ def _drawn(
     resumed, direct = keep.resumed, None
     if problem.apart is not None:
         direct = _direct(problem, settings, run, resumed)
+        if problem.carrier is not None:
+            problem.carrier.save = _before_image(problem, settings, run, keep, before, variate, direct)
+        direct.follow(_first_samples(problem, settings))
     if resumed is not None and resumed.counts is not None:
         allocation = Allocation.of_counts(resumed.counts)
     else:
@@ -192,5 +202,31 @@ def _drawn(
             kept = allocation if settings.allocation == "relative" else None
             keep.write(image_estimate, before.estimate, variate, before.guide, direct, kept)
 
+    if problem.carrier is not None:
+        problem.carrier.save = after_pass
     ended_by = draw(problem, settings, run, image_estimate, target, after_pass, direct)
     return finish(image_estimate, allocation, ended_by, direct)
+
+
+def _before_image(
+    problem: Problem,
+    settings: Settings,
+    run: Run,
+    keep: Keep,
+    before: Before,
+    variate: ControlVariate | None,
+    direct: DirectEstimate,
+) -> Callable[[], None]:
+    """What writes a checkpoint while direct light gets its first samples, and nothing else has any."""
+    resumed = keep.resumed
+
+    def save() -> None:
+        everything = np.arange(problem.points.active, dtype=np.uint32)
+        allocation = Allocation.uniform(everything, settings.spp)
+        done = None if resumed is None else resumed.image.edges
+        image_estimate = begin(problem, settings, run, variate, allocation, done)
+        if resumed is not None:
+            resumed.image.give_back(image_estimate)
+        keep.write(image_estimate, before.estimate, variate, before.guide, direct)
+
+    return save

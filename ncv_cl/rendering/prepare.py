@@ -15,7 +15,7 @@ from ..points.arrays import PointArrays, place_points
 from ..points.points import ShadingPoints, find_points
 from ..points.trace import Tracer
 from ..sampling.paths import sample_source
-from ..sampling.problem import Apart, Problem
+from ..sampling.problem import Apart, Decisions, Problem
 from ..sampling.samples import SAMPLES_A_PASS, SampleSource
 from ..scene.load import Scene
 from ..settings.settings import Settings
@@ -62,6 +62,12 @@ def prepare(
             f"{scene.name}: visibility 'lines' is for area lights, there is an environment or a "
             "directional light; take 'auto'"
         )
+    by_lights = integrand.promises("to_lights") or integrand.splits
+    if settings.sampling.visibility == "lines" and scene.has_panes and by_lights:
+        raise ValueError(
+            f"{scene.name}: visibility 'lines' takes triangles for opaque, but there are thin panes; "
+            "take 'auto'"
+        )
     if settings.sampling.visibility == "lines" and not (
         integrand.promises("sliced") or shafts_pay(scene)
     ):
@@ -89,11 +95,43 @@ def prepare(
     if integrand.promises("sliced") and points.active and is_near:
         with watch("slices"):
             slices, choice = _slices(device, scene, settings, points)
+    split = _splits(scene, settings, points, lines)
+    return assemble(
+        device,
+        scene,
+        tracer,
+        settings,
+        points,
+        _bounds(scene, given),
+        occluders,
+        slices,
+        lines,
+        split,
+        choice,
+    )
+
+
+def assemble(
+    device: Device,
+    scene: Scene,
+    tracer: Tracer,
+    settings: Settings,
+    points: ShadingPoints,
+    bounds: np.ndarray,
+    occluders: Occluders | None,
+    slices: Slices | None,
+    lines: bool,
+    split: bool,
+    choice: SliceChoice | None = None,
+) -> Problem:
+    """The problem of some points, by what was decided for all of them (`Decisions`)."""
+    integrand = settings.integrand
+    decisions = Decisions(occluders.longest if occluders else None, lines, slices is not None, split)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
     apart, rest = None, integrand
-    split, lit = _split(scene, settings, points, lines)
-    if split is not None:
-        direct, rest = split
+    if split:
+        direct, rest = integrand.apart(scene)
+        lit = _lit(scene, settings, direct, points)
         own = SampleSource(device, scene, tracer, points, direct, *common, occluders, lines=lines)
         # Paths have no rays to test then.
         apart, occluders = Apart(own, lit), None
@@ -116,13 +154,14 @@ def prepare(
         device,
         points,
         source,
-        _bounds(scene, given),
+        bounds,
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
         glow=emitted_light(scene, integrand, points)[: points.active].T,
         apart=apart,
         slices=choice,
+        decisions=decisions,
     )
 
 
@@ -177,21 +216,21 @@ def _occluders(
     return Occluders(device, scene, points, integrand, MOST_OCCLUDERS, hierarchy), False
 
 
-def _split(
-    scene: Scene, settings: Settings, points: ShadingPoints, lines: bool
-) -> tuple[tuple[Integrand, Integrand] | None, np.ndarray]:
-    """Direct light and the rest if they are estimated apart, and the points that the first lights."""
+def _splits(scene: Scene, settings: Settings, points: ShadingPoints, lines: bool) -> bool:
+    """Whether direct light and the rest are estimated apart."""
     asked = settings.sampling.split_direct
     parts = settings.integrand.apart(scene)
     if asked == "on" and parts is None:
         raise ValueError(f"{scene.name}: there is no light but direct light, or none of it, to split")
-    lit = np.zeros(0, np.uint32)
     if parts is None or not points.active or not (asked == "on" or (asked == "auto" and lines)):
-        return None, lit
+        return False
+    return bool(len(_lit(scene, settings, parts[0], points)))
+
+
+def _lit(scene: Scene, settings: Settings, direct: Integrand, points: ShadingPoints) -> np.ndarray:
+    """The points that direct light can reach, uint32."""
     lit = np.arange(points.active, dtype=np.uint32)
-    if settings.sampling.skip_dark:
-        lit = lit[~parts[0].dark(scene, points)]
-    return parts if len(lit) else None, lit
+    return lit[~direct.dark(scene, points)] if settings.sampling.skip_dark else lit
 
 
 def _slices(

@@ -26,6 +26,7 @@ from ..sampling.problem import Problem
 from ..scene.load import Scene, load_scene
 from ..settings.options import Files, Machine, Sampling, Stopping, Training, gathered
 from ..settings.settings import Settings
+from .carried.passes import carried
 from .describe import describe
 from .pipeline import Outcome, estimate_integrals
 from .prepare import prepare
@@ -73,7 +74,8 @@ def render(
     sampling, training, stopping, files, machine : optional
         Groups of options.
     **options
-        Single options of these groups by their names, such as ``supersample=2`` or ``time_limit=60``.
+        Single options of these groups by their names, such as ``supersample=2``, ``time_limit=60``
+        or ``executor=ncv.Processes(4)``.
 
     Returns
     -------
@@ -91,6 +93,8 @@ def render(
         If there is no such OpenCL device.
     RuntimeError
         If a kernel of one's own does not compile; says file, line and what the compiler said.
+    TaskError
+        If workers fail again and again; the checkpoint, if there is to be one, holds what was done.
     """
     started = time.perf_counter()
     groups = gathered(
@@ -104,6 +108,7 @@ def render(
         options,
     )
     files, machine = groups.pop("files"), groups.pop("machine")
+    machine.check()
     check_paths({"checkpoint": files.checkpoint, "save_network": files.save_network})
     if not isinstance(scene, Scene):
         scene = load_scene(scene)
@@ -119,23 +124,28 @@ def render(
     run = Run(clock=Clock(limit, started), stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch)
     settings = problem.sampled(settings)
-    outcome = estimate_integrals(problem, settings, run, keep, given)
+    with carried(problem, machine, run, scene, resumed=keep.resumed) as problem:
+        outcome = estimate_integrals(problem, settings, run, keep, given)
     image = _image(scene, settings, run, problem, outcome)
     describe(image, scene, settings, problem, outcome, run.watch, time.perf_counter() - started)
     if keep.not_written:
         image.stats["not_written"] = keep.not_written
     about_values(image, reference)
-    _remark(settings, problem, image)
+    _remark(scene, settings, problem, image)
     return image
 
 
-def _remark(settings: Settings, problem: Problem, image: Image) -> None:
-    """Warn of a picture that is seldom meant as it came out."""
+def _remark(scene: Scene, settings: Settings, problem: Problem, image: Image) -> None:
+    """Warn of a picture that is seldom meant as it came out, or that leaves out what is seen."""
     width, height = settings.size
     seen = problem.points.total / (width * height * settings.sampling.supersample**2)
     remark = settings.integrand.remark(float(image.pixels.mean()) / seen) if seen else None
-    if remark is not None:
-        warnings.warn(remark, stacklevel=3)
+    unseen = None
+    if problem.points.material is not None:
+        unseen = settings.integrand.unseen(scene, problem.points.material)
+    for said in (remark, unseen):
+        if said is not None:
+            warnings.warn(said, stacklevel=3)
 
 
 def integrand_of(integrand: str | Integrand) -> Integrand:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +58,28 @@ class Estimate:
         return self.samples > 1
 
 
+class HostState:
+    """An accumulator's state that no kernel adds to: what workers return is put together here.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and points.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.values = np.zeros(shape, np.float32)
+
+    @contextmanager
+    def mapped(self, write: bool = False) -> Iterator[np.ndarray]:
+        """As `HostArray.mapped`."""
+        yield self.values
+
+    def read(self) -> np.ndarray:
+        """A copy."""
+        return self.values.copy()
+
+
 class Accumulator:
     """Accumulates f, and f − g where a network is given, batch after batch.
 
@@ -66,6 +90,8 @@ class Accumulator:
         The control variate.
     chosen : ndarray, optional
         uint32, the points that will be given samples; all active ones by default.
+    on_host : bool
+        Whether samples are drawn elsewhere, and `take` gets what comes of them.
     """
 
     def __init__(
@@ -75,6 +101,7 @@ class Accumulator:
         channels: int,
         network: FoldedNetwork | None = None,
         chosen: np.ndarray | None = None,
+        on_host: bool = False,
     ) -> None:
         self._chosen = slice(None) if chosen is None else chosen
         self.points = points
@@ -98,6 +125,10 @@ class Accumulator:
         self._device, self._files, self._defines = device, files, defines
         self.quantities = 1 + (network is not None)
         rows = self.quantities * channels * STATE.size
+        self._state: HostArray | HostState
+        if on_host:
+            self._state = HostState((rows, points.active))
+            return
         self._state = HostArray(device, (rows, points.active), np.float32)
         self._state.fill(0.0)
 
@@ -156,6 +187,18 @@ class Accumulator:
         with self._state.mapped(write=True) as view:
             view[...] = whole
         self.samples[self._chosen] = samples
+
+    def take(self, points: range, state: np.ndarray, samples: np.ndarray) -> None:
+        """Put in what another accumulator has of some points: its sums (rows, points) and samples."""
+        with self._state.mapped() as view:
+            view[:, points.start : points.stop] = state
+        self.samples[points.start : points.stop] = samples
+
+    def part(self, points: range) -> tuple[np.ndarray, np.ndarray]:
+        """What `take` takes."""
+        own = slice(points.start, points.stop)
+        with self._state.mapped() as view:
+            return view[:, own].copy(), self.samples[own]
 
     def means(self) -> np.ndarray:
         """Means so far, float64 (quantities, channels, points)."""

@@ -10,7 +10,7 @@ from ..integrands import Integrand, IntegrandError
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..opencl.program import build
-from ..points.points import ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..scene.load import Scene
 from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
@@ -44,6 +44,17 @@ class HostIntegrand(Integrand):
         return {"CHANNELS": self.channels}
 
 
+def function_points(device: Device, positions: np.ndarray) -> ShadingPoints:
+    """Points of which a function knows only the number; float32 (points, 3) tells them apart."""
+    count = len(positions)
+    surface = np.zeros((SURFACE.size, count), np.float32)
+    surface[SURFACE["position"]] = positions.T
+    nowhere = np.full(count, -1, np.int32)
+    return ShadingPoints(
+        HostArray.of(device, surface), np.arange(count, dtype=np.uint32), nowhere, count, 0
+    )
+
+
 class CallableSource(Batches):
     """Draws samples of a callable less a constant, as `SampleSource` does of a scene's integrand.
 
@@ -66,7 +77,7 @@ class CallableSource(Batches):
         seed: int,
     ) -> None:
         super().__init__(device, points, channels, SAMPLES_A_PASS)
-        self._function = function
+        self.function = function
         self._seed = seed_words(seed)
         self._defines = {
             **sampler_defines(sampler),
@@ -125,6 +136,7 @@ class CallableSource(Batches):
             len(points) * stride // self.device.vector_width,
             first_point=points.start,
             point_count=len(points),
+            first_id=self.points.first_id,
             first_sample=samples.start,
             stride=stride,
             stream=stream,
@@ -137,13 +149,13 @@ class CallableSource(Batches):
         count, shape = len(points) * stride, (len(points), stride)
         u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
         chosen = order.read()[points.start : points.stop]
-        index = np.broadcast_to(chosen[:, None], u.shape)
+        index = np.broadcast_to(chosen[:, None] + np.uint32(self.points.first_id), u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())
         return values.reshape(*u.shape, self.channels), warp.get("weight")
 
     def _evaluate(self, u: np.ndarray, v: np.ndarray, index: np.ndarray) -> np.ndarray:
         """f less the constant, float64 (samples, channels), checked."""
-        values = np.asarray(self._function(u, v, index))
+        values = np.asarray(self.function(u, v, index))
         if values.shape not in ((u.size, self.channels), *(((u.size,),) if self.channels == 1 else ())):
             raise IntegrandError(
                 f"f must return {(u.size, self.channels)} values for {u.size} samples, "

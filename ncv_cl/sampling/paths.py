@@ -79,7 +79,8 @@ class PathSource(SampleSource):
         self._textures = Textures.of(device, scene)
         self._frame = HostArray.of(device, guide_frame(scene))
         few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
-        few = self.by_kernels = few and not scene.has_holes
+        few = self.by_kernels = few and not scene.has_gaps
+        self._panes = scene.has_panes
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
@@ -88,7 +89,8 @@ class PathSource(SampleSource):
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
-        surface = ("common", "sampler", "surface", "bsdf", "bounce", *LIGHT_FILES, "environment")
+        surface = ("common", "sampler", "surface", "bsdf", "bounce", "dielectric")
+        surface += (*LIGHT_FILES, "environment")
         self._files = (
             *surface,
             "textures",
@@ -115,6 +117,8 @@ class PathSource(SampleSource):
             **warp_defines(),
             **guide_defines(),
             **texture_defines(),
+            "HAS_PANES": int(scene.has_panes),
+            "GLASS_ROULETTE_SCALE": f"{tuning.ROULETTE[1]!r}f",
         }
         self._branches = 0
         self._choose_program()
@@ -161,7 +165,7 @@ class PathSource(SampleSource):
         """For so many paths behind the second vertex of each sample's path."""
         if branches != self._branches:
             self._branches, most = branches, branches * self._capacity
-            self._wave, self._next = (Wave(self.device, most) for _ in range(2))
+            self._wave, self._next = (Wave(self.device, most, self._panes) for _ in range(2))
             self._radiance = HostArray(self.device, (most, RADIANCE_FLOATS), np.float32)
 
     def draw(
@@ -279,6 +283,7 @@ class PathSource(SampleSource):
             max_depth=self._max_depth,
             bounce=bounce,
             first_point=batch.points.start,
+            first_id=self.points.first_id,
             first_sample=first_sample,
             stride=batch.stride,
             inverse_stride=1.0 / batch.stride,

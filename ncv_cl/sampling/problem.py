@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,28 @@ class Apart:
 
     source: Batches
     lit: np.ndarray
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """What is decided for all points of a render together.
+
+    Attributes
+    ----------
+    most_occluders : (int, int), optional
+        Longest list of occluders there is room for, and the longest that is kept; None: there are none.
+    lines : bool
+        Whether samples lie where lines see the lights.
+    sliced : bool
+        Whether samples are slices of the hemisphere.
+    split : bool
+        Whether direct light is estimated apart.
+    """
+
+    most_occluders: tuple[int, int] | None = None
+    lines: bool = False
+    sliced: bool = False
+    split: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,6 +83,10 @@ class Problem:
     slices : SliceChoice, optional
         How many slices of the hemisphere to take in place of the samples that were asked for, if that
         was looked into.
+    decisions : Decisions
+        How samples are drawn, decided by what was seen of all points.
+    carrier : object, optional
+        Draws passes on other machines (`rendering.carried.carrier.Carrier`).
     """
 
     device: Device
@@ -73,6 +100,8 @@ class Problem:
     glow: np.ndarray | None = None
     apart: Apart | None = None
     slices: SliceChoice | None = None
+    decisions: Decisions = field(default_factory=lambda: Decisions())
+    carrier: Any = None
 
     @property
     def sliced(self) -> bool:

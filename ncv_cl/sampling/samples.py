@@ -196,6 +196,8 @@ class SampleSource(Batches):
         super().__init__(device, points, integrand.channels, samples_per_point)
         self.sliced = slices is not None
         self._tracer = tracer
+        # Rays to lights pass panes; for others these are in the way.
+        self._sees_through = scene.has_panes and integrand.promises("to_lights")
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))
         defines = {
@@ -250,6 +252,7 @@ class SampleSource(Batches):
             active,
             point_count=active,
             total_points=self.points.total,
+            first_id=self.points.first_id,
             stream=Stream.UNSHADOWED,
             **self._seed,
             surface=self.points.surface,
@@ -286,6 +289,7 @@ class SampleSource(Batches):
             first_point=points.start,
             point_count=len(points),
             total_points=self.points.total,
+            first_id=self.points.first_id,
             first_sample=samples.start,
             sample_count=count,
             stride=stride,
@@ -313,7 +317,13 @@ class SampleSource(Batches):
             self._distances.mapped(count=rays) as distances,
             self._visible.mapped(write=True, count=rays) as visible,
         ):
-            self._tracer.visible(origins, directions, distances, visible)
+            if self._sees_through:
+                let_through = np.ones((rays, 3), np.float32)
+                self._tracer.visible(origins, directions, distances, visible, let_through)
+            else:
+                self._tracer.visible(origins, directions, distances, visible)
+        if self._sees_through:
+            self._tint(let_through, len(points) * stride)
         ended = time.perf_counter()
         self.rays.trace_seconds += ended - started
         self.rays.sample_seconds += started - begun
@@ -323,3 +333,12 @@ class SampleSource(Batches):
         self.rays.skipped += len(points) * count - rays - on_device
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, warp.get("weight"))
+
+    def _tint(self, let_through: np.ndarray, elements: int) -> None:
+        """Multiply values by what panes let through of each ray, float32 (rays, 3)."""
+        with self._slot.mapped(count=elements) as slot:
+            traced = np.flatnonzero(slot < len(let_through))
+            factors = let_through[slot[traced], : self.channels]
+        with self._value.mapped(update=True) as value:
+            planes = value.reshape(-1)[: self.channels * elements].reshape(self.channels, elements)
+            planes[:, traced] *= factors.T

@@ -14,7 +14,13 @@ from ..scene.textures.texture import Maps
 
 
 def triangle_record(
-    specular: bool, emission: bool, smooth: bool, textured: bool, coloured: bool, bent: bool
+    specular: bool,
+    emission: bool,
+    smooth: bool,
+    textured: bool,
+    coloured: bool,
+    bent: bool,
+    glass: bool = False,
 ) -> Record:
     """What is kept of a triangle, with what only some scenes have.
 
@@ -22,7 +28,7 @@ def triangle_record(
     (surface.cl), negative where its corners have normals, and `light` the light it is part of or -1, or
     -2 less the light's number where the surface reflects as well.
     `texture` and other textures are indices of textures.cl or -1, `metallic` and `normal_scale` are as
-    in `Maps`, `tangent` and `side` as `normals.tangents` finds them.
+    in `Maps`, `tangent` and `side` as `normals.tangents` finds them, `ior` is `Material.signed_ior`.
     """
     fields = {"normal": 3, "distance": 1, "offset": 1, "light": 1, "albedo": 3}
     if specular:
@@ -41,6 +47,8 @@ def triangle_record(
         fields |= {"colour_0": 3, "colour_1": 3, "colour_2": 3}
     if specular and (textured or coloured):
         fields |= {"metallic": 1, "surface_texture": 1}
+    if glass:
+        fields |= {"ior": 1}
     return Record("TRIANGLE", fields)
 
 
@@ -63,6 +71,7 @@ def triangle_records(scene: Scene) -> tuple[np.ndarray, dict[str, int]]:
         "textured": scene.vertex_uv is not None,
         "coloured": scene.vertex_colours is not None,
         "bent": bool(np.any(of_material["normal_texture"] != NO_TEXTURE)),
+        "glass": scene.has_glass,
     }
     record = triangle_record(**has)
     values = {
@@ -101,8 +110,14 @@ def _of_materials(scene: Scene) -> dict[str, np.ndarray]:
     maps = [one.maps or Maps() for one in scene.materials]
     return {
         **{
-            name: np.array([getattr(one, name) for one in scene.materials])
-            for name in ("albedo", "reflectance", "roughness", "emission")
+            name: np.array([getattr(one, attribute) for one in scene.materials])
+            for name, attribute in (
+                ("albedo", "tint"),
+                ("reflectance", "facing"),
+                ("roughness", "roughness"),
+                ("emission", "emission"),
+                ("ior", "signed_ior"),
+            )
         },
         **{
             name: np.array([getattr(one, name) for one in maps]) for name in ("metallic", "normal_scale")

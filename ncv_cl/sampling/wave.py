@@ -36,8 +36,12 @@ PLANES = Record(
         "strips": 1,
         "shadow_throughput": 3,
         "shadow_path": 1,
+        "behind": 1,
+        "passed": 1,
     },
 )
+# What only scenes with panes have: how far before a ray's origin it began, and how many it went through.
+PANES_ONLY = PLANES["behind"].start
 # Planes that the host maps: the first so many.
 HOST_PLANES = PLANES["lit"].stop
 
@@ -55,6 +59,8 @@ class Wave:
     device
     capacity : int
         Most rays of each kind.
+    panes : bool
+        Whether rays may go through thin panes.
 
     Attributes
     ----------
@@ -66,9 +72,11 @@ class Wave:
         Numbers of path rays, of shadow rays to be traced, and of rays of both kinds that kernels answer.
     """
 
-    def __init__(self, device: Device, capacity: int) -> None:
+    def __init__(self, device: Device, capacity: int, panes: bool = False) -> None:
         self._width = device.vector_width
-        self.words = HostArray(device, HEADER + PLANES.size * self._plane_of(capacity), np.float32)
+        self._panes = panes
+        self._planes = PLANES.size if panes else PANES_ONLY
+        self.words = HostArray(device, HEADER + self._planes * self._plane_of(capacity), np.float32)
         self.words.fill(0)
         self.plane = self.rays = self.shadows = self.tested = 0
 
@@ -83,12 +91,13 @@ class Wave:
 
     def trace(self, tracer: Tracer) -> float:
         """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
-        with self.words.mapped(count=HEADER + HOST_PLANES * self.plane, update=True) as words:
+        mapped = self._planes if self._panes else HOST_PLANES
+        with self.words.mapped(count=HEADER + mapped * self.plane, update=True) as words:
             started = time.perf_counter()
             counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
             self.rays, self.shadows = counts.tolist()
             counts[:] = 0
-            planes = words[HEADER:].reshape(HOST_PLANES, self.plane)
+            planes = words[HEADER:].reshape(mapped, self.plane)
             rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
             triangle, u, v, distance = (
                 rays[PLANES[name].start] for name in ("triangle", "u", "v", "distance")
@@ -100,6 +109,7 @@ class Wave:
                 shadows[PLANES["shadow_origin"]].T,
                 shadows[PLANES["shadow_direction"]].T,
                 planes[PLANES["lit"].start].view(np.uint8)[: self.shadows],
+                *([planes[PLANES["shadow_throughput"], : self.shadows].T] if self._panes else []),
             )
             return time.perf_counter() - started
 
@@ -114,7 +124,7 @@ class Wave:
     def under_way(self) -> tuple[np.ndarray, np.ndarray]:
         """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
         with self.words.mapped() as words:
-            planes = words[HEADER : HEADER + PLANES.size * self.plane].reshape(PLANES.size, self.plane)
+            planes = words[HEADER : HEADER + self._planes * self.plane].reshape(-1, self.plane)
             rays = planes[:, : self.rays]
             path = rays[PLANES["path"].start].copy().view(np.uint32)
             return path, rays[PLANES["throughput"]].copy()

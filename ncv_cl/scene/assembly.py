@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..host.reach import Reach
 from . import geometry, place
 from .geometry import SMALLEST_ROUGHNESS, Mesh
-from .model import Camera, Material, QuadLight, Scene
+from .glass import GLASS_KEYS, check_glass, read_glass
+from .lights.mesh import light_mesh
+from .model import Camera, Light, Material, Scene
 from .sky.environment import Environment
-from .sky.read import read_environment, split_lights, with_suns
+from .sky.read import read_environment
 from .table import Table
 from .textures.image_file import ImageFiles
 from .textures.keys import read_maps
@@ -53,10 +56,10 @@ class Assembly:
     def __init__(self, source: Path | str, camera: Camera, materials: list[Material]) -> None:
         self.materials = materials
         self._source = source
-        self._camera = camera
+        self.camera = camera
         self._material_index = {material.name: i for i, material in enumerate(materials)}
         self._parts: list[_Part] = []
-        self._lights: list[QuadLight] = []
+        self._lights: list[Light] = []
         self.environment: Environment | None = None
         # Degenerate and all triangles of what a table's key describes.
         self._dropped: dict[tuple[str, str], tuple[Table, int, int]] = {}
@@ -108,11 +111,19 @@ class Assembly:
             mesh = replace(mesh, uv=surface.maps.placed(mesh.uv))
         self._parts.append(_Part(table, key, mesh, material, -1, advice))
 
-    def add_light(self, table: Table, light: QuadLight, material: int) -> None:
+    def add_light(self, table: Table, light: Light, material: int) -> None:
         """Append a light, in double precision, and its triangles. Lights follow all other meshes."""
-        mesh = replace(geometry.quad_mesh(light.corner, light.edge1, light.edge2), uv=None)
-        self._parts.append(_Part(table, "", mesh, material, len(self._lights), ""))
+        self._parts.append(_Part(table, "", light_mesh(light), material, len(self._lights), ""))
         self._lights.append(light)
+
+    def surroundings(self, position: NDArray[np.float64]) -> tuple[float, float]:
+        """Diagonal of the bounds of the surfaces so far, and how far the nearest is from a position."""
+        meshes = [part.mesh for part in self._parts if part.light < 0]
+        if not meshes:
+            return 0.0, 0.0
+        corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+        diagonal = np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))
+        return float(diagonal), place.nearest_distance(corners, position)
 
     def _without_degenerate(self, table: Table, key: str, mesh: Mesh) -> Mesh:
         """The mesh without triangles of no area; these are counted under `table`."""
@@ -130,9 +141,9 @@ class Assembly:
         surfaces = [part.mesh for part in self._parts if part.light < 0]
         meshes = surfaces or [part.mesh for part in self._parts]
         corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
-        origin = place.scene_origin(corners, self._camera)
+        origin = place.scene_origin(corners, self.camera)
         placed = []
-        camera = place.moved(self._camera, origin)
+        camera = place.moved(self.camera, origin)
         for part in self._parts:
             if part.advice and place.is_coarse(part.mesh):
                 self.warn(
@@ -167,8 +178,8 @@ class Assembly:
     def scene(self, name: str, path: Path | None) -> Scene:
         """All of it, moved to where single precision is finest; it must not be empty."""
         origin, meshes = self._placed()
-        camera = place.moved(self._camera, origin)
-        lights = [replace(light, corner=light.corner - origin).single() for light in self._lights]
+        camera = place.moved(self.camera, origin)
+        lights = [light.moved(origin) for light in self._lights]
         vertices = np.concatenate([mesh.vertices for mesh in meshes])
         pixels = place.unresolved_steps(vertices, origin, camera)
         if pixels:
@@ -260,36 +271,20 @@ def read_materials(root: Table, images: ImageFiles) -> list[Material]:
     for name, data in names.items():
         where = f"materials.{name}"
         keys = ("albedo", "reflectance", "roughness", "emission", "opacity", "normal", "maps")
-        maps, table = read_maps(Table(root.source, where, data, keys), images)
-        albedo = table.colour("albedo", high=1.0)
+        maps, table = read_maps(Table(root.source, where, data, (*keys, *GLASS_KEYS)), images)
+        glass = read_glass(table)
+        albedo = table.colour("albedo", default=0.0 if glass else None, high=1.0)
         reflectance = table.colour("reflectance", default=0.0, high=1.0)
-        roughness = table.number("roughness", 1.0, SMALLEST_ROUGHNESS, 1.0)
+        usual = SMALLEST_ROUGHNESS if glass else 1.0
+        roughness = table.number("roughness", usual, SMALLEST_ROUGHNESS, 1.0)
         emission = table.colour("emission", default=0.0)
-        materials.append(Material(albedo, reflectance, roughness, emission, maps, name=name))
+        material = Material(albedo, reflectance, roughness, emission, maps, name=name, **glass)
+        check_glass(table, material)
+        materials.append(material)
     return materials
 
 
-def add_environment(root: Table, folder: Path, assembly: Assembly) -> None:
+def add_environment(root: Table, folder: Path, reach: Reach, assembly: Assembly) -> None:
     """Check the table ``environment``, and take it; files are relative to `folder`."""
-    assembly.environment, warnings = read_environment(root, folder)
+    assembly.environment, warnings = read_environment(root, folder, reach)
     assembly.warnings += warnings
-
-
-def add_lights(root: Table, assembly: Assembly) -> None:
-    """Check the tables of ``lights`` and append them, in their order."""
-    keys = ("kind", "corner", "edge1", "edge2", "radiance", "two_sided")
-    tables, suns = split_lights(root, keys)
-    assembly.environment = with_suns(root.source, assembly.environment, suns)
-    black = np.zeros(3, dtype=np.float32)
-    material = assembly.new_material(Material(black, name="light")) if tables else -1
-    for table in tables:
-        corner, edge1, edge2 = (table.vector(key) for key in ("corner", "edge1", "edge2"))
-        for key, edge in (("edge1", edge1), ("edge2", edge2)):
-            if not np.any(edge):
-                raise table.error(key, "light has no area (the edge has no length)")
-        area = np.linalg.norm(np.cross(edge1, edge2))
-        if area <= 1e-6 * np.linalg.norm(edge1) * np.linalg.norm(edge2):
-            raise table.error("edge2", "light has no area (edge1 and edge2 are parallel)")
-        two_sided = bool(table.flag("two_sided", False))
-        light = QuadLight(corner, edge1, edge2, table.colour("radiance"), two_sided)
-        assembly.add_light(table, light, material)

@@ -9,8 +9,10 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from .assembly import Assembly, add_lights, read_camera, read_materials
+from .assembly import Assembly, read_camera, read_materials
 from .geometry import Mesh, normalised
+from .lights.kinds import DiscLight, PointLight, SphereLight, SpotLight
+from .lights.read import add_lights
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .sky.environment import Environment
 from .sky.read import checked
@@ -22,13 +24,20 @@ _SOURCE = "build_scene"
 # What to do about vertices that are coarse.
 _COARSE = "give them in double precision"
 _KEYS = ("name", "camera", "materials", "meshes", "lights")
+_LIGHTS = {
+    QuadLight: "quad",
+    DiscLight: "disc",
+    SphereLight: "sphere",
+    PointLight: "point",
+    SpotLight: "spot",
+}
 
 
 def build_scene(
     camera: Camera,
     materials: Mapping[str, Material],
     meshes: Sequence[TriangleMesh],
-    lights: Sequence[QuadLight] = (),
+    lights: Sequence[QuadLight | DiscLight | SphereLight | PointLight | SpotLight] = (),
     name: str = "scene",
     environment: Environment | None = None,
 ) -> Scene:
@@ -43,7 +52,7 @@ def build_scene(
     materials : dict of str to Material
         Keys are the names that meshes give; a `Material.name` is not looked at.
     meshes : list of TriangleMesh
-    lights : list of QuadLight
+    lights : list of QuadLight, DiscLight, SphereLight, PointLight or SpotLight
     name : str
         For messages and metadata.
     environment : Environment, optional
@@ -73,12 +82,15 @@ def build_scene(
         "camera": _table("camera", camera, Camera),
         "materials": {k: _table(f"materials.{k}", one, Material) for k, one in materials.items()},
         "meshes": _tables("meshes", meshes, TriangleMesh),
-        "lights": _tables("lights", lights, QuadLight),
+        "lights": [
+            {"kind": next(name for kind, name in _LIGHTS.items() if isinstance(one, kind)), **table}
+            for table, one in zip(_tables("lights", lights, *_LIGHTS), lights, strict=True)
+        ],
     }
     root = Table(_SOURCE, "", data, _KEYS)
     assembly = Assembly(_SOURCE, read_camera(root), read_materials(root, ImageFiles()))
     for table in root.tables("meshes", [field.name for field in fields(TriangleMesh)]):
-        mesh, material = _mesh(table), assembly.named_material(table)
+        mesh, material = mesh_of_arrays(table), assembly.named_material(table)
         dtype = np.asarray(table.raw("vertices")).dtype
         is_single = dtype.kind == "f" and dtype.itemsize <= np.dtype(np.float32).itemsize
         assembly.add(table, "vertices", mesh, material, _COARSE if is_single else "")
@@ -94,10 +106,12 @@ def build_scene(
     return scene
 
 
-def _table(where: str, value: object, kind: type) -> dict[str, object]:
-    """The keys of a scene file's table for one of this module's objects."""
-    if not isinstance(value, kind):
-        raise SceneError(f"{_SOURCE}: {where}: expected a {kind.__name__}, got {_short(value)}")
+def _table(where: str, value: object, *kinds: type) -> dict[str, object]:
+    """The keys of a scene file's table for an object of one of some types."""
+    kind = next((kind for kind in kinds if isinstance(value, kind)), None)
+    if kind is None:
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise SceneError(f"{_SOURCE}: {where}: expected a {names}, got {_short(value)}")
     # A material's name is its key; a mesh's normals and name may be left out.
     given = {field.name: getattr(value, field.name) for field in fields(kind)}
     return {
@@ -107,17 +121,19 @@ def _table(where: str, value: object, kind: type) -> dict[str, object]:
     }
 
 
-def _tables(where: str, values: object, kind: type) -> list[dict[str, object]]:
+def _tables(where: str, values: object, *kinds: type) -> list[dict[str, object]]:
     if not isinstance(values, (list, tuple)):
-        raise SceneError(f"{_SOURCE}: {where}: expected a list of {kind.__name__}, got {_short(values)}")
-    return [_table(f"{where}[{index}]", value, kind) for index, value in enumerate(values)]
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise SceneError(f"{_SOURCE}: {where}: expected a list of {names}, got {_short(values)}")
+    return [_table(f"{where}[{index}]", value, *kinds) for index, value in enumerate(values)]
 
 
 def _short(value: object) -> str:
     return f"an array {value.shape}" if isinstance(value, np.ndarray) else repr(value)[:100]
 
 
-def _mesh(table: Table) -> Mesh:
+def mesh_of_arrays(table: Table) -> Mesh:
+    """A mesh of a table with the keys of `TriangleMesh`, checked."""
     vertices = table.points("vertices")
     triangles = table.indices("triangles", len(vertices))
     given = _of_vertices(table, "normals", 3, len(vertices))

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from trimesh.transformations import identity_matrix, translation_matrix
 
+from ..host.reach import Reach
 from . import geometry, meshes
-from .assembly import Assembly, add_environment, add_lights, read_camera, read_materials
+from .assembly import Assembly, add_environment, read_camera, read_materials
+from .build import mesh_of_arrays
 from .geometry import Mesh
-from .model import Camera, Material, QuadLight, Scene
+from .imports import read_tables
+from .lights.read import add_lights
+from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .table import SceneError, Table
 from .textures.image_file import ImageFiles
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = ["Camera", "Material", "QuadLight", "Scene", "SceneError", "load_scene"]
 
@@ -37,17 +36,26 @@ _SCENE_KEYS = (
     "lights",
     "environment",
 )
+_PLACE_KEYS = ("translate", "scale", "rotate", "transform")
+_MESH_KEYS = ("file", "material", "name", "smooth", "lights", *_PLACE_KEYS)
+_ARRAY_KEYS = tuple(field.name for field in fields(TriangleMesh))
 # What to do about a mesh file whose coordinates are coarse.
 _COARSE = "export it about its own origin and move it by translate"
 
 
-def load_scene(path: str | Path) -> Scene:
+def load_scene(path: str | Path, *, camera: str | None = None, allow_outside: bool = False) -> Scene:
     """Read a scene file.
 
     Parameters
     ----------
     path : str or Path
-        A TOML file; mesh files in it are relative to its folder.
+        By its suffix: TOML; glTF (.gltf, .glb) with its cameras and lights; a mesh (.obj, .ply, .stl),
+        which a suggested camera looks at; or Mitsuba's XML, which takes the extra ``mitsuba``. Files in
+        it are relative to its folder.
+    camera : str, optional
+        Name of the camera, where a file has several; the first by default.
+    allow_outside : bool
+        Whether it may name files outside of its folder. Links count as what they lead to.
 
     Returns
     -------
@@ -56,8 +64,9 @@ def load_scene(path: str | Path) -> Scene:
     Raises
     ------
     SceneError
-        If the file or a mesh file is missing or cannot be read, a key is unknown or missing, or a
-        value has the wrong type, is not finite or is out of range. Names file, key and index.
+        If the file or a mesh file is missing, cannot be read or lies outside, a key is unknown or
+        missing, or a value has the wrong type, is not finite or is out of range. Names file, key and
+        index.
 
     Warns
     -----
@@ -66,38 +75,49 @@ def load_scene(path: str | Path) -> Scene:
         left out or replaced, or single precision cannot resolve what the camera sees; also kept in
         `Scene.warnings`.
     """
-    path = Path(path)
-    scene = scene_from(_read_toml(path), path)
+    scene = read_scene(Path(path), camera, allow_outside)
     for warning in scene.warnings:
         warnings.warn(warning, stacklevel=2)
     return scene
 
 
-def scene_from(tables: dict[str, object], path: Path) -> Scene:
-    """The scene of what a scene file holds; `path` is that file, for messages and mesh files.
+def read_scene(path: Path, camera: str | None = None, allow_outside: bool = False) -> Scene:
+    """`load_scene` that warns of nothing, see `Scene.warnings`."""
+    images = ImageFiles(Reach(None if allow_outside else path.parent))
+    found = read_tables(path, images, camera)
+    return scene_from(found.tables, path, images, found.said)
 
-    Raises `SceneError` as `load_scene` does; warns of nothing, see `Scene.warnings`.
+
+def scene_from(
+    tables: dict[str, object], path: Path, images: ImageFiles, said: Sequence[str] = ()
+) -> Scene:
+    """The scene of what a scene file holds.
+
+    Parameters
+    ----------
+    tables : dict
+    path : Path
+        That file, for messages and mesh files.
+    images : ImageFiles
+        Its `reach` says which files may be read.
+    said : list of str
+        What the file has that `tables` do not.
+
+    Raises
+    ------
+    SceneError
+        As `load_scene` does.
     """
     root = Table(path, "", tables, _SCENE_KEYS)
-    images = ImageFiles()
     assembly = Assembly(path, read_camera(root), read_materials(root, images))
+    assembly.warnings += [f"{path}: {sentence}" for sentence in said]
     _add_primitives(root, assembly)
-    _add_mesh_files(root, path.parent, images, assembly)
-    add_environment(root, path.parent, assembly)
-    add_lights(root, assembly)
+    lights = _add_meshes(root, path.parent, images, assembly)
+    add_environment(root, path.parent, images.reach, assembly)
+    add_lights(root.replaced({"lights": [*root.entries("lights"), *lights]}), assembly)
     if assembly.is_empty:
         raise SceneError(f"{path}: the scene is empty: give quads, boxes, spheres or meshes")
     return assembly.scene(root.text("name", path.stem), path)
-
-
-def _read_toml(path: Path) -> dict[str, object]:
-    try:
-        # Notepad and others write a byte-order mark, which TOML does not know.
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read the scene file: {error.strerror}") from error
-    except ValueError as error:  # TOML syntax, which carries its line, or text that is not UTF-8
-        raise SceneError(f"{path}: not a TOML file: {error}") from error
 
 
 def _add_primitives(root: Table, assembly: Assembly) -> None:
@@ -181,33 +201,59 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
     return np.asarray(translation @ _read_rotation(table) @ np.diag([*factors, 1.0]))
 
 
-def _add_mesh_files(root: Table, folder: Path, images: ImageFiles, assembly: Assembly) -> None:
-    keys = ("file", "material", "name", "translate", "scale", "rotate", "transform", "smooth")
-    for table in root.tables("meshes", keys):
-        file = folder / table.text("file")
-        transform = _read_transform(table)
-        material = assembly.named_material(table) if "material" in table else None
-        smooth = table.flag("smooth", None)
-        key = f"file: {file.name}"
-        try:
-            textured = material is not None and bool(assembly.materials[material].textures)
-            found = meshes.read_meshes(file, transform, smooth, images, textured)
-        except ValueError as error:
-            raise table.error(key, str(error)) from error
-        for sentence in found.notes if material is None else found.shape_notes:
+def _add_meshes(
+    root: Table, folder: Path, images: ImageFiles, assembly: Assembly
+) -> list[dict[str, object]]:
+    """Add the tables of ``meshes``; the lights that their files have are returned as tables."""
+    lights: list[dict[str, object]] = []
+    for table in root.tables("meshes", {*_MESH_KEYS, *_ARRAY_KEYS}):
+        if "file" in table:
+            lights += _add_mesh_file(table.only(_MESH_KEYS), folder, images, assembly)
+        else:
+            table = table.only(_ARRAY_KEYS)
+            mesh = mesh_of_arrays(table)
+            assembly.add(table, "vertices", mesh, assembly.named_material(table))
+    return lights
+
+
+def _add_mesh_file(
+    table: Table, folder: Path, images: ImageFiles, assembly: Assembly
+) -> list[dict[str, object]]:
+    file = folder / table.text("file")
+    transform = _read_transform(table)
+    material = assembly.named_material(table) if "material" in table else None
+    smooth = table.flag("smooth", None)
+    dim = table.choice("lights", ("use", "ignore"), "use") == "ignore"
+    key = f"file: {file.name}"
+    try:
+        images.reach.checked(file)
+        textured = material is not None and bool(assembly.materials[material].textures)
+        found = meshes.read_meshes(file, transform, smooth, images, textured)
+    except ValueError as error:
+        raise table.error(key, str(error)) from error
+    if dim and material is not None and not found.lights:
+        raise table.error("lights", "has no effect beside material, which replaces what the file emits")
+    for sentence in found.notes if material is None else found.shape_notes:
+        if not (dim and sentence.startswith(meshes.EMITS)):
             assembly.warn(table, key, sentence)
-        from_file: dict[meshes.FileMaterial | None, int] = {}
-        for item in found.meshes:
-            index = material
-            if index is None:
-                if item.material not in from_file:
-                    from_file[item.material] = assembly.new_material(
-                        _material_of_file(table, item.material, file.name, assembly)
-                    )
-                index = from_file[item.material]
-            # Colours are part of the file's looks.
-            mesh = item.mesh if material is None else replace(item.mesh, colours=None)
-            assembly.add(table, key, mesh, index, advice=_COARSE)
+    from_file: dict[meshes.FileMaterial | None, int] = {}
+    for item in found.meshes:
+        index = material
+        if index is None:
+            if item.material not in from_file:
+                read = _material_of_file(table, item.material, file.name, assembly)
+                from_file[item.material] = assembly.new_material(_dark(read) if dim else read)
+            index = from_file[item.material]
+        # Colours are part of the file's looks.
+        mesh = item.mesh if material is None else replace(item.mesh, colours=None)
+        assembly.add(table, key, mesh, index, advice=_COARSE)
+    return [] if dim else found.lights
+
+
+def _dark(material: Material) -> Material:
+    """The same material without its emission."""
+    maps = None if material.maps is None else replace(material.maps, emission=None)
+    return replace(material, emission=np.zeros(3, np.float32), maps=maps)
 
 
 def _material_of_file(
@@ -228,4 +274,7 @@ def _material_of_file(
         roughness=found.roughness,
         emission=np.array(found.emission, dtype=np.float32),
         maps=found.maps,
+        transmission=np.array(found.transmission, dtype=np.float32),
+        ior=found.ior,
+        thin=found.thin,
     )

@@ -1,4 +1,4 @@
-"""What a scene is: camera, materials, quad lights and one merged triangle mesh.
+"""What a scene is: camera, materials, lights and one merged triangle mesh.
 
 `Camera`, `Material`, `TriangleMesh` and `QuadLight` are also what `build_scene` makes a scene of. It
 takes any numbers for them, checks these, and keeps the arrays that are described here.
@@ -15,9 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .geometry import SMALLEST_ROUGHNESS
+from .lights.kinds import DiscLight, SphereLight, SpotLight
 from .sky.environment import Environment
 from .table import SceneError
 from .textures.texture import Maps, Texture
+
+# The index of refraction of glass where none is given.
+USUAL_IOR = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A two-sided opaque surface: Lambert plus an optional GGX lobe.
+    """A two-sided opaque surface, Lambert plus an optional GGX lobe; or glass.
 
     Attributes
     ----------
@@ -54,25 +59,72 @@ class Material:
         Diffuse reflectance, linear RGB in [0, 1].
     reflectance : float32 (3,)
         Specular reflectance at normal incidence in [0, 1]; 0 means no specular lobe.
-    roughness : float
-        In [0.01, 1]; the GGX alpha is roughness**2.
+    roughness : float, optional
+        In [0.01, 1]; the GGX alpha is roughness**2. 1 by default, and of glass 0.01, which is smooth.
     emission : float32 (3,)
         Radiance that the surface emits everywhere and in every direction, from both sides; linear RGB.
+        It is light that is sampled, unless a texture or holes say where it is.
     maps : Maps, optional
         What varies over the surface: `albedo` and `roughness` are then factors.
+    transmission : float32 (3,)
+        More than 0 makes the surface glass, a dielectric interface: what it lets through is multiplied
+        by this, what it reflects is not. Albedo and reflectance must be 0. The normal by the order of
+        the corners points out of the glass.
+    ior : float, optional
+        Index of refraction behind the surface over that before it; 1.5 by default.
+    thin : bool
+        Whether the surface is a pane with air on both sides, which does not bend light; it is smooth.
     """
 
     name: str = field(default="", kw_only=True)
     albedo: NDArray[np.float32]
     reflectance: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
-    roughness: float = 1.0
+    roughness: float | None = None
     emission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
     maps: Maps | None = None
+    transmission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
+    ior: float | None = None
+    thin: bool = False
+
+    def __post_init__(self) -> None:
+        if self.roughness is None:
+            object.__setattr__(self, "roughness", SMALLEST_ROUGHNESS if self.is_glass else 1.0)
+        if self.ior is None and self.is_glass:
+            object.__setattr__(self, "ior", USUAL_IOR)
+
+    @property
+    def is_glass(self) -> bool:
+        """Whether it lets light through."""
+        try:
+            return bool(np.any(np.asarray(self.transmission, np.float64) > 0))
+        except (TypeError, ValueError):
+            # What is no colour is refused where a scene is built of it.
+            return False
 
     @property
     def has_lobe(self) -> bool:
         """Whether it reflects specularly anywhere."""
-        return bool(np.any(self.reflectance > 0)) or (self.maps is not None and self.maps.metallic > 0)
+        metal = self.maps is not None and self.maps.metallic > 0
+        return bool(np.any(self.reflectance > 0)) or metal or self.is_glass
+
+    @property
+    def tint(self) -> NDArray[np.float32]:
+        """The albedo, or of glass its transmission."""
+        return self.transmission if self.is_glass else self.albedo
+
+    @property
+    def facing(self) -> NDArray[np.float32]:
+        """Reflectance at normal incidence, that of glass by Fresnel's equations."""
+        if not self.is_glass:
+            return self.reflectance
+        return np.full(3, ((self.ior - 1.0) / (self.ior + 1.0)) ** 2, np.float32)
+
+    @property
+    def signed_ior(self) -> float:
+        """What kernels know glass by: its index of refraction, negative of panes; 0 of others."""
+        if not self.is_glass:
+            return 0.0
+        return -self.ior if self.thin else self.ior
 
     @property
     def textures(self) -> tuple[Texture, ...]:
@@ -143,6 +195,10 @@ class QuadLight:
         """Area of one side, in square scene units."""
         return float(np.linalg.norm(self._vector_area()))
 
+    def moved(self, origin: NDArray[np.float64]) -> QuadLight:
+        """The same light about `origin`, in single precision."""
+        return replace(self, corner=self.corner - origin).single()
+
     def single(self) -> QuadLight:
         """The same light in single precision."""
         vectors = {name: getattr(self, name).astype(np.float32) for name in ("corner", "edge1", "edge2")}
@@ -150,6 +206,10 @@ class QuadLight:
 
     def _vector_area(self) -> NDArray[np.float64]:
         return np.cross(self.edge1.astype(np.float64), self.edge2.astype(np.float64))
+
+
+# What `Scene.lights` holds. A `PointLight` becomes a `SphereLight`.
+Light = QuadLight | DiscLight | SphereLight | SpotLight
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +227,7 @@ class Scene:
     camera : Camera
     materials : tuple of Material
         Those of the scene in order, then those of mesh files, then a black one for lights.
-    lights : tuple of QuadLight
+    lights : tuple of QuadLight, DiscLight, SphereLight or SpotLight
         May be empty: ambient occlusion needs none.
     vertices : float32 (n_vertices, 3)
     vertex_normals : float32 (n_vertices, 3)
@@ -196,7 +256,7 @@ class Scene:
     path: Path | None
     camera: Camera
     materials: tuple[Material, ...]
-    lights: tuple[QuadLight, ...]
+    lights: tuple[Light, ...]
     vertices: NDArray[np.float32]
     vertex_normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]
@@ -213,6 +273,21 @@ class Scene:
     def has_holes(self) -> bool:
         """Whether rays pass surfaces where the opacity of a texture is too small."""
         return any(one.maps is not None and one.maps.opacity is not None for one in self.materials)
+
+    @cached_property
+    def has_glass(self) -> bool:
+        """Whether some surface lets light through."""
+        return any(one.is_glass for one in self.materials)
+
+    @cached_property
+    def has_panes(self) -> bool:
+        """Whether shadow rays pass some surfaces, tinted."""
+        return any(one.is_glass and one.thin for one in self.materials)
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a shadow ray may pass a triangle that it meets."""
+        return self.has_holes or self.has_panes
 
     def surface_of(self, name: str) -> NDArray[np.int64]:
         """The triangles of the surfaces of a name, int64.
@@ -251,7 +326,10 @@ class Scene:
 def _add_to(digest: Any, part: object) -> None:
     """What a part of a scene holds that affects the image; what is None leaves no trace."""
     digest.update(type(part).__name__.encode())
+    opaque = isinstance(part, Material) and not part.is_glass
     for entry in fields(part):
+        if opaque and entry.name in ("transmission", "ior", "thin"):
+            continue
         value = getattr(part, entry.name)
         if isinstance(value, (float, np.ndarray)):
             array = np.asarray(value)

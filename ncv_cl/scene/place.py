@@ -59,7 +59,7 @@ def scene_origin(corners: Vectors, camera: Camera) -> Vectors:
     lower, upper = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     nearest = np.clip(camera.position, lower, upper)
     size = float((upper - lower).max())
-    distance = min(max(_nearest_distance(corners, camera.position), SMALLEST_DISTANCE * size), size)
+    distance = min(max(nearest_distance(corners, camera.position), SMALLEST_DISTANCE * size), size)
     # A scene without size shows nothing; an error says so later.
     if size == 0 or np.abs(nearest).max() <= LARGEST_RATIO * distance:
         return np.zeros(3)
@@ -209,7 +209,7 @@ def _distances(corners: Vectors, point: Vectors) -> Vectors:
     return np.nan_to_num(np.linalg.norm(nearest, axis=1), nan=np.inf)
 
 
-def _nearest_distance(corners: Vectors, point: Vectors) -> float:
+def nearest_distance(corners: Vectors, point: Vectors) -> float:
     """From `point` to the nearest triangle."""
     boxes = _box_distances(corners, point)
     first = int(boxes.argmin())

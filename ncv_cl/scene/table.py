@@ -58,6 +58,10 @@ class Table:
         """The same table with other values of some keys."""
         return Table(self.source, self.where, self._data | values, {*self._data, *values})
 
+    def only(self, keys: Collection[str]) -> Table:
+        """The same table, of which other keys are errors."""
+        return Table(self.source, self.where, self._data, keys)
+
     def error(self, key: str, message: str) -> SceneError:
         """A `SceneError` that says where `key` stands; the caller raises it."""
         place = ".".join(part for part in (self.where, key) if part)
@@ -71,10 +75,16 @@ class Table:
 
     def tables(self, key: str, keys: Collection[str]) -> list[Table]:
         """An array of tables (``[[key]]``), empty if absent; each may hold `keys`."""
+        return [
+            Table(self.source, f"{key}[{i}]", entry, keys) for i, entry in enumerate(self.entries(key))
+        ]
+
+    def entries(self, key: str) -> list[Any]:
+        """What stands in an array of tables (``[[key]]``), unchecked; empty if absent."""
         entries = self._data.get(key, [])
         if not isinstance(entries, list):
             raise self.error(key, f"expected an array of tables [[{key}]]")
-        return [Table(self.source, f"{key}[{i}]", entry, keys) for i, entry in enumerate(entries)]
+        return entries
 
     def number(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,7 @@ def measured(
     points: int,
     lines: int,
     seed: int,
+    executor: Executor | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each scramble's factors, float64 (patches, patches, SCRAMBLES), and `ViewFactors.how`."""
     places = [
@@ -50,7 +52,9 @@ def measured(
     for target in np.flatnonzero(along & wanted.any(axis=0)):
         sources = np.flatnonzero(wanted[:, target])
         chosen = [places[k] for k in sources]
-        means[sources, target] = _along_lines(device, scene, sides[target], chosen, lines, seed)
+        means[sources, target] = _along_lines(
+            device, scene, sides[target], chosen, lines, seed, executor
+        )
         how[sources, target] = LINES
     for source in np.flatnonzero(~along):
         rest = np.flatnonzero(~along & wanted[source])
@@ -68,6 +72,7 @@ def _along_lines(
     places: list[tuple[np.ndarray, np.ndarray]],
     lines: int,
     seed: int,
+    executor: Executor | None,
 ) -> np.ndarray:
     """Each scramble's mean of the factors from points of each source, float64 (sources, SCRAMBLES)."""
     position, normal = (np.stack(arrays) for arrays in zip(*places, strict=True))
@@ -80,6 +85,7 @@ def _along_lines(
         visibility="lines",
         seed=seed,
         device=device,
+        executor=executor,
     )
     return found.values[:, 0].reshape(position.shape[:3]).mean(axis=2) / np.pi
 

@@ -23,6 +23,7 @@ from ..points.arrays import (
     curve_cells,
     ordered,
 )
+from ..rendering.carried.passes import carried
 from ..rendering.describe import counts
 from ..rendering.pipeline import Outcome, estimate_integrals
 from ..rendering.prepare import prepare
@@ -135,8 +136,8 @@ def estimate_points(
     Parameters
     ----------
     options : mapping
-        `method`, `spp`, `seed`, `device`, `progress`, `target_error`, the groups of options that points
-        have, and single options of these, as `irradiance` takes them.
+        `method`, `spp`, `seed`, `device`, `progress`, `target_error`, the groups of options
+        that points have, and single options of these, as `irradiance` takes them.
     weight : float
         Mean square error of what is made of the estimates, over that of the estimates.
     """
@@ -147,6 +148,7 @@ def estimate_points(
     device = options.pop("device", None)
     groups = gathered({kind: options.pop(kind, None) for kind in POINT_GROUPS}, options)
     machine = groups.pop("machine")
+    machine.check()
     settings = Settings(integrand, method, spp, given.size, seed, **groups)
     share = len(given.positions) / (settings.columns * settings.rows)
     settings = _with_target(settings, wanted, share / weight)
@@ -160,7 +162,8 @@ def estimate_points(
     run = Run(clock=clock, stop=settings.stopping.stop or never, progress=progress)
     problem = prepare(device, scene, settings, machine.threads, run.watch, given)
     settings = problem.sampled(settings)
-    outcome = estimate_integrals(problem, settings, run, Keep(), network)
+    with carried(problem, machine, run, scene, given) as problem:
+        outcome = estimate_integrals(problem, settings, run, Keep(), network)
     values, variance = _values(scene, settings, problem, outcome, given.cells)
     stats = _stats(settings, problem, outcome, run)
     stats["seconds"]["total"] = time.perf_counter() - started

@@ -47,9 +47,9 @@ def irradiance(
     both_sides : bool
         Add the irradiance of the sensor's other side.
     **options
-        `method`, `spp`, `seed`, `device`, `progress`, the groups `sampling`, `training`, `stopping` and
-        `machine` and their single options as `render` takes them, but for `supersample`; and
-        `target_error`: end when the root mean square standard error of the values is estimated to be
+        `method`, `spp`, `seed`, `device`, `progress`, the groups `sampling`, `training`,
+        `stopping` and `machine` and their single options as `render` takes them, but for `supersample`;
+        and `target_error`: end when the root mean square standard error of the values is estimated to be
         this.
 
     Returns

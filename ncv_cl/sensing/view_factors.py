@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,6 +77,7 @@ def view_factors(
     lines: int = 16,
     seed: int = 0,
     device: Device | int | str | None = None,
+    executor: Executor | None = None,
 ) -> ViewFactors:
     """View factors between named surfaces, which everything in the scene may obstruct.
 
@@ -96,8 +98,8 @@ def view_factors(
         Points on each patch in each of 16 scrambles; powers of two are best.
     lines : int
         Lines, or rays, for each point and patch.
-    seed, device
-        As `render` takes them.
+    seed, device, executor
+        As `render` takes them; workers draw lines, not rays.
 
     Raises
     ------
@@ -117,7 +119,7 @@ def view_factors(
     sides = [_whole_patch(scene, name) for name in patches]
     areas = np.array([side.area for side in sides])
     exact = _exact(scene, sides)
-    means, how = measured(device, scene, sides, np.isnan(exact), points, lines, seed)
+    means, how = measured(device, scene, sides, np.isnan(exact), points, lines, seed, executor)
     values, variance = means.mean(axis=2), means.var(axis=2, ddof=1) / SCRAMBLES
     # Where neither lines nor rays lead to the target, they lead back.
     ratio = areas[None, :] / areas[:, None]

@@ -40,8 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser, group: type[Any]) -> None:
             f"--{option.name.replace('_', '-')}",
             {"help": texts[option.name].replace("%", "%%")},
         )
-        if hint is bool:
+        if hint is bool and option.default:
             own.add_argument(f"--no-{flag[2:]}", dest=option.name, action="store_false", **about)
+        elif hint is bool:
+            own.add_argument(flag, action="store_true", **about)
         elif _reader(hint) is not None:
             choices = choices_of(hint)
             plain = bool(choices) and float not in typing.get_args(hint)

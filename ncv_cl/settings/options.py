@@ -12,6 +12,7 @@ import math
 import numbers
 import typing
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -19,6 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..machines.crew import check_executor
 from ..network.network import Network
 from .presets import PRESETS
 
@@ -166,19 +168,56 @@ class Files:
 
 @dataclass(frozen=True)
 class Machine:
-    """Use of the host.
+    """Use of the host, and of other machines.
 
     Attributes
     ----------
     threads : int, optional
         Host threads that trace rays; all cores by default.
+    executor : concurrent.futures.Executor, optional
+        Workers that draw the samples, on this machine or on others (docs/clusters.md): `Processes`,
+        Dask's ``client.get_executor()``, `MPIPoolExecutor`. The bits are those without.
+    task_points : int, optional
+        With workers: points of a task; by default as many as take some seconds, or fewer where there
+        would be less than 16 tasks. Pixels do not depend on it.
+    task_limit : float
+        With workers: seconds after which a task is given to another worker.
+    mixed_devices : bool
+        With workers: let them have other devices than this process, whose bits may differ.
+    shared : str or Path, optional
+        With workers: a folder that all of them see under this name. Scene and network are then files
+        there, which stay; else they are sent, once to each worker.
     """
 
     threads: int | None = None
+    executor: Executor | None = None
+    task_points: int | None = None
+    task_limit: float = 600.0
+    mixed_devices: bool = False
+    shared: str | Path | None = None
 
     def __post_init__(self) -> None:
-        if self.threads is not None:
-            object.__setattr__(self, "threads", checked_whole("threads", self.threads, MOST_CELLS))
+        for name in ("threads", "task_points"):
+            if getattr(self, name) is not None:
+                whole = checked_whole(name, getattr(self, name), MOST_CELLS)
+                object.__setattr__(self, name, whole)
+        check_real("task_limit", self.task_limit, math.inf)
+        if not isinstance(self.mixed_devices, (bool, np.bool_)):
+            raise ValueError(f"mixed_devices must be True or False, got {self.mixed_devices!r}")
+        if self.shared is not None and not Path(self.shared).is_dir():
+            raise ValueError(f"shared must be a folder that exists, {self.shared} is none")
+
+    def check(self) -> None:
+        """Raise for options that have no effect without workers, and for what is no executor."""
+        if self.executor is not None:
+            check_executor(self.executor)
+            return
+        unused = [name for name in changed(self) if name != "threads"]
+        if unused:
+            raise ValueError(
+                f"{unused[0]} is for renders by workers: give an executor too, or on the command line "
+                "--processes or --dask"
+            )
 
 
 GROUPS: dict[str, type[Any]] = {

@@ -33,7 +33,7 @@ def shafts_pay(scene: Scene) -> bool:
     """Whether looking for occluders is likely to cost less than the rays that it spares."""
     lights = light_sources(scene).lights
     few = len(lights.strip) <= tuning.MOST_LIGHTS
-    return few and not lights.has_balls and not scene.has_holes and scene.environment is None
+    return few and not lights.has_balls and not scene.has_gaps and scene.environment is None
 
 
 class Occluders:
@@ -48,6 +48,8 @@ class Occluders:
         Longest list that is kept, if memory for all of them suffices.
     hierarchy : Hierarchy, optional
         The scene's, if there is one.
+    kept : int, optional
+        Longest list that is kept, where it was decided for more points than these.
 
     Attributes
     ----------
@@ -69,10 +71,12 @@ class Occluders:
         integrand: Integrand,
         most: int = MOST_OCCLUDERS,
         hierarchy: Hierarchy | None = None,
+        kept: int | None = None,
     ) -> None:
         self.hierarchy = hierarchy or Hierarchy(device, scene)
         # No triangle is listed twice.
-        self._most = self._room = most
+        self._room = most
+        self._most = most if kept is None else kept
         words = COMMON_LISTS + points.active * (min(most, len(scene.triangles)) + 1)
         self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
         self.starts = HostArray(device, points.active, np.uint32)
@@ -119,6 +123,11 @@ class Occluders:
                 self.mean_count = float(counted.read().mean())
                 return
             self._most = fitting
+
+    @property
+    def longest(self) -> tuple[int, int]:
+        """The longest list there is room for, and the longest that is kept."""
+        return self._room, self._most
 
     @property
     def unknown(self) -> int:

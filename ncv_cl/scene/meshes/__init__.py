@@ -5,6 +5,6 @@ note what they leave out or replace.
 """
 
 from .common import FALLBACK_ALBEDO, FileMaterial
-from .read import KINDS, FileMesh, FileMeshes, read_meshes
+from .read import EMITS, KINDS, FileMesh, FileMeshes, read_meshes
 
-__all__ = ["FALLBACK_ALBEDO", "KINDS", "FileMaterial", "FileMesh", "FileMeshes", "read_meshes"]
+__all__ = ["EMITS", "FALLBACK_ALBEDO", "KINDS", "FileMaterial", "FileMesh", "FileMeshes", "read_meshes"]

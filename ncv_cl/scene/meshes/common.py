@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ class FileMaterial:
     roughness: float
     emission: Colour = (0.0, 0.0, 0.0)
     maps: Maps | None = None
+    transmission: Colour = (0.0, 0.0, 0.0)
+    ior: float | None = None
+    thin: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ class Asked:
 
 
 class Notes:
-    """What a reader left out or replaced, counted by kind and name.
+    """What a reader left out or replaced, counted by kind and name, and what it found beside surfaces.
 
     Attributes
     ----------
@@ -93,10 +97,13 @@ class Notes:
         materials: they do not matter where a scene gives the mesh a material of its own.
     smoothing : bool
         Whether the file asks for smooth shading without giving normals.
+    lights : list of dict
+        Tables of a scene's ``lights``, in the file's world.
     """
 
     def __init__(self) -> None:
         self.smoothing = False
+        self.lights: list[dict[str, Any]] = []
         self.geometry: dict[str, dict[str, int]] = {}
         self.looks: dict[str, dict[str, int]] = {}
 

@@ -6,6 +6,8 @@ import codecs
 import re
 from pathlib import Path
 
+from ...host.reach import OutsideError, Reach
+
 
 def read_text(path: Path) -> list[str]:
     """The lines of a text file in UTF-8, in UTF-16 with a byte-order mark, else in Latin-1.
@@ -50,22 +52,41 @@ def _join_continued(lines: list[str]) -> None:
             lines[i + 1] = ""
 
 
-def find_file(folder: Path, name: str) -> Path | None:
+def find_file(folder: Path, name: str, reach: Reach) -> Path | None:
     """The file that another one in `folder` names, or None.
 
     Backslashes separate folders as slashes do, upper and lower case are alike where no file is
-    spelled exactly so, and a path that does not exist here stands for its last part in `folder`.
+    spelled exactly so, and a path that does not exist here, or that is beyond `reach`, stands for its
+    last part in `folder`.
+
+    Raises
+    ------
+    OutsideError
+        If there is such a file, but only beyond `reach`.
     """
     name = name.strip().strip('"').replace("\\", "/")
     if not name:
         return None
+    outside: OutsideError | None = None
     for candidate in (folder / name, folder / name.rsplit("/", 1)[-1]):
         try:
-            if candidate.is_file():
-                return candidate
-            for entry in candidate.parent.iterdir():
-                if entry.name.lower() == candidate.name.lower() and entry.is_file():
-                    return entry
+            found = _spelled_so(candidate, reach.allows(candidate.parent))
+            if found is not None:
+                return reach.checked(found)
         except OSError:  # no such folder, or a name that no file can have
             continue
+        except OutsideError as error:
+            outside = outside or error
+    if outside is not None:
+        raise outside
+    return None
+
+
+def _spelled_so(path: Path, may_list: bool) -> Path | None:
+    """The file of a path, or if its folder may be listed, one that differs in upper and lower case."""
+    if path.is_file():
+        return path
+    for entry in path.parent.iterdir() if may_list else ():
+        if entry.name.lower() == path.name.lower() and entry.is_file():
+            return entry
     return None

@@ -20,11 +20,12 @@ from .common import (
     three,
 )
 from .gltf_buffers import Container
+from .gltf_lights import EXTENSION, light_index, read_light
 from .gltf_material import coordinate_set, material_name, read_material
-from .gltf_pose import Nodes, skinned
+from .gltf_pose import Nodes, shown_nodes, skinned
 from .polygons import strip_triangles
 
-_READ = {"KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "KHR_node_visibility"}
+_READ = {"KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "KHR_node_visibility", EXTENSION}
 # Extensions that change looks only: a material says which of them it has.
 _LOOKS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "EXT_materials_")
 _COMPRESSION = "KHR_draco_mesh_compression"
@@ -35,7 +36,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 def read_gltf(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
     """Read what the file's default scene shows, else its first, else all root nodes.
 
-    Every primitive gives one geometry for each of its places.
+    Every primitive gives one geometry for each of its places; lights go into `Notes.lights`.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def read_gltf(path: Path, notes: Notes, asked: Asked) -> list[FileGeometry]:
         If the file or one of its buffers cannot be read, an index or a position is wrong, or it
         needs an extension that is not read.
     """
-    container = Container(path)
+    container = Container(path, asked.images.reach)
     tree = container.tree
     for extension in tree.get("extensionsRequired", []):
         if extension not in _READ and not extension.startswith(_LOOKS):
@@ -72,32 +73,19 @@ class _Scene:
 
     def geometries(self) -> list[FileGeometry]:
         found: list[FileGeometry] = []
-        waiting = list(reversed(self._roots()))
         if not self._container.tree.get("nodes"):
             for index in range(len(self._container.tree.get("meshes", []))):
                 self._notes.shape("meshes that no node places stand where they were made", "")
                 found += [geometry for _, geometry in self._mesh(index, None)]
-        while waiting:
-            index = waiting.pop()
+        for index in shown_nodes(self._container, self._nodes, self._notes):
             node = self._container.entry("nodes", index)
-            visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
-            if not visibility.get("visible", True):
-                continue
-            waiting += reversed(node.get("children", []))
             if "mesh" in node:
                 found += self._placed(index, node)
+            light = light_index(node)
+            if light is not None:
+                world = self._nodes.world(index)
+                self._notes.lights.append(read_light(self._container, light, world, self._notes))
         return found
-
-    def _roots(self) -> list[int]:
-        scenes = self._container.tree.get("scenes", [])
-        if not scenes:
-            return self._nodes.roots()
-        chosen = self._container.tree.get("scene", 0)
-        self._container.entry("scenes", chosen)
-        for index, scene in enumerate(scenes):
-            if index != chosen:
-                self._notes.shape("other scenes of the file are left out", scene.get("name", f"{index}"))
-        return scenes[chosen].get("nodes", [])
 
     def _placed(self, index: int, node: dict[str, Any]) -> list[FileGeometry]:
         """The primitives of a node's mesh where the node, or the skin it follows, puts them."""

@@ -13,6 +13,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
+from ...host.reach import OutsideError, Reach
 from .files import find_file
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -34,8 +35,9 @@ class Container:
         If the file is not glTF 2.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, reach: Reach) -> None:
         self._path = path
+        self._reach = reach
         self._buffers: dict[int, bytes] = {}
         data = path.read_bytes()
         text: bytes | None = data
@@ -104,6 +106,8 @@ class Container:
                 return bytes(self.view(image["bufferView"])[0])
             uri = image["uri"]
             return _data_of_uri(uri) if uri.startswith("data:") else self._file(uri)
+        except OutsideError:
+            raise
         except (ValueError, KeyError):
             return None
 
@@ -156,7 +160,7 @@ class Container:
     def _file(self, uri: str) -> Path | None:
         # Writers that do not encode names may mean a percent sign as it stands.
         folder = self._path.parent
-        return find_file(folder, unquote(uri)) or find_file(folder, uri)
+        return find_file(folder, unquote(uri), self._reach) or find_file(folder, uri, self._reach)
 
 
 def _chunks(data: bytes) -> Iterator[tuple[int, bytes]]:

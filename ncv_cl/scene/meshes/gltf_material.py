@@ -19,6 +19,7 @@ from .common import (
     Notes,
     three,
 )
+from .glass import gltf_glass
 from .gltf_buffers import Container
 from .textures import (
     HALF_OPAQUE,
@@ -37,6 +38,8 @@ _READ = {
     "KHR_materials_ior",
     "KHR_materials_specular",
     "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
     # Other looks of the same file, which has one by default.
     "KHR_materials_variants",
 }
@@ -131,7 +134,17 @@ class _Reader:
             maps = found.maps or Maps(placement=self._placed[1])
             scale = float(self._material["normalTexture"].get("scale", 1.0))
             found = replace(found, maps=replace(maps, normal=normal, normal_scale=scale))
-        return replace(found, emission=emission)
+        found = replace(found, emission=emission)
+        return self._glass(found, tint) or found
+
+    def _glass(self, material: FileMaterial, tint: Colour | None) -> FileMaterial | None:
+        """The material as glass, if it is that."""
+        table = self._material.get("pbrMetallicRoughness", {})
+        metallic = min(max(float(table.get("metallicFactor", 1.0)), 0.0), 1.0)
+        base = np.multiply(
+            table.get("baseColorFactor", [1.0] * 3)[:3], (1.0,) * 3 if tint is None else tint
+        )
+        return gltf_glass(material, three(base), metallic, self._extensions, self._notes)
 
     def _metallic_roughness(self, tint: Colour | None) -> FileMaterial:
         table = self._material.get("pbrMetallicRoughness", {})

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from .common import Vectors
+from .common import Notes, Vectors
 from .gltf_buffers import Container
 
 
@@ -122,6 +123,32 @@ class Nodes:
         if stored.shape[1] != 16 or len(stored) < len(joints):
             raise ValueError(f"skins[{skin}]: its inverse bind matrices do not fit its joints")
         return matrices @ np.swapaxes(stored[: len(joints)].reshape(-1, 4, 4), 1, 2)
+
+
+def shown_nodes(container: Container, nodes: Nodes, notes: Notes) -> Iterator[int]:
+    """Nodes of the file's default scene, else of its first, else all; hidden ones are left out.
+
+    Raises
+    ------
+    ValueError
+        If a node or the scene does not exist.
+    """
+    scenes = container.tree.get("scenes", [])
+    roots = nodes.roots()
+    if scenes:
+        chosen = container.tree.get("scene", 0)
+        roots = container.entry("scenes", chosen).get("nodes", [])
+        for index, scene in enumerate(scenes):
+            if index != chosen:
+                notes.shape("other scenes of the file are left out", scene.get("name", f"{index}"))
+    waiting = list(reversed(roots))
+    while waiting:
+        index = waiting.pop()
+        node = container.entry("nodes", index)
+        visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
+        if visibility.get("visible", True):
+            waiting += reversed(node.get("children", []))
+            yield index
 
 
 def skinned(

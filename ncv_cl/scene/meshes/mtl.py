@@ -22,16 +22,17 @@ from .common import (
     three,
 )
 from .files import read_text
+from .glass import TRANSPARENT, mtl_glass
 from .mtl_texture import METAL_MAPS, ROUGHNESS_MAPS, TEXTURES, MaterialTextures
 from .textures import MISSING
 
-# Keys without an effect on what is rendered: ambient light, refraction of opaque surfaces.
-_WITHOUT_EFFECT = {"ka", "ni", "tf", "sharpness", "map_ka", "map_aat"}
+# Keys without an effect on what is rendered: ambient light.
+_WITHOUT_EFFECT = {"ka", "sharpness", "map_ka", "map_aat"}
 _LOBES = {"pc": "clear coat", "ps": "sheen", "aniso": "anisotropy"}
-_READ = {"kd", "ks", "ke", "ns", "d", "tr", "illum", "pr", "pm", "pcr", "anisor"}
+_READ = {"kd", "ks", "ke", "ns", "d", "tr", "illum", "tf", "ni", "pr", "pm", "pcr", "anisor"}
 _METAL = {"pm", *METAL_MAPS}
-# Models without highlights, and those that let light through.
-_DIFFUSE, _TRANSPARENT = (0, 1), (4, 6, 7, 9)
+# Models without highlights.
+_DIFFUSE = (0, 1)
 Statements = dict[str, str]
 
 
@@ -83,7 +84,10 @@ class MaterialReader:
         if has_surface and set(ROUGHNESS_MAPS) & set(self._statements):
             roughness = 1.0
         roughness = self._number("pr", roughness)
-        self._note_what_is_not_read()
+        glass = self._glass(FileMaterial(self._name, diffuse, specular, roughness, emission, maps))
+        self._note_what_is_not_read(glass is None)
+        if glass is not None:
+            return glass
         if _METAL & set(self._statements):
             metallic = self._metallic(has_surface)
             if maps is None:
@@ -91,6 +95,24 @@ class MaterialReader:
             else:
                 specular, maps = three(DIELECTRIC_REFLECTANCE), replace(maps, metallic=metallic)
         return FileMaterial(self._name, diffuse, specular, roughness, emission, maps)
+
+    def _glass(self, material: FileMaterial) -> FileMaterial | None:
+        """The material as glass, if it is that."""
+        if self._model() not in TRANSPARENT:
+            return None
+        index, rough = (self._number(key, math.nan) for key in ("ni", "pr"))
+        return mtl_glass(
+            material,
+            self._model(),
+            self._colour("tf", 1.0),
+            None if math.isnan(index) else index,
+            self._opacity(),
+            None if math.isnan(rough) else rough,
+            self._notes,
+        )
+
+    def _opacity(self) -> float:
+        return self._number("d", 1.0 - self._number("tr", 0.0))
 
     def _metallic(self, has_surface: bool) -> float:
         """Pm, or the factor of its texture; 0 under a texture that cannot be read."""
@@ -128,10 +150,9 @@ class MaterialReader:
         """The illumination model, `illum`; 2 (with highlights) if there is none."""
         return int(self._number("illum", 2.0))
 
-    def _note_what_is_not_read(self) -> None:
+    def _note_what_is_not_read(self, is_opaque: bool) -> None:
         look, name = self._notes.look, self._name
-        opacity = self._number("d", 1.0 - self._number("tr", 0.0))
-        if opacity < 1.0 or self._model() in _TRANSPARENT:
+        if is_opaque and (self._opacity() < 1.0 or self._model() in TRANSPARENT):
             look("materials that let light through are drawn opaque", name)
         if self._model() == 0:
             look("materials of constant colour (illum 0) are lit as others are", name)

@@ -171,7 +171,7 @@ class MaterialTextures:
                 self._notes.look(kind, f"{statement.left_out} of {self.label(key)}")
 
     def _image(self, key: str) -> Path | None:
-        return find_file(self._folder, self._found[key].file)
+        return find_file(self._folder, self._found[key].file, self._images.reach)
 
     def _first_key(self) -> str:
         """The statement of the texture where all others have to lie."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...host.reach import Reach
 from ..textures.image_file import ImageFiles
 from ..textures.texture import linear_from_srgb
 from .common import (
@@ -131,7 +132,7 @@ def _read_materials(
     """The materials that faces use, by name; None where the file gives none."""
     library = {}
     for line in statements.libraries:
-        for file in _library_files(path.parent, line, notes):
+        for file in _library_files(path.parent, line, notes, images.reach):
             for name, keys in read_library(file, notes).items():
                 library.setdefault(name, (keys, file.parent))
     found: dict[str, FileMaterial | None] = {}
@@ -150,14 +151,14 @@ def _read_materials(
     return found
 
 
-def _library_files(folder: Path, line: str, notes: Notes) -> list[Path]:
+def _library_files(folder: Path, line: str, notes: Notes, reach: Reach) -> list[Path]:
     """The files that one mtllib statement names: blanks separate names, and may be in them."""
     words = line.split()
     files = []
     start = 0
     while start < len(words):
         for end in range(len(words), start, -1):
-            file = find_file(folder, " ".join(words[start:end]))
+            file = find_file(folder, " ".join(words[start:end]), reach)
             if file is not None:
                 files.append(file)
                 start = end

@@ -184,7 +184,7 @@ def _textured(
         notes.look("textures are not read, the surface is as without them", comment)
     if not comments or geometry.uv is None:
         return geometry
-    file = find_file(path.parent, comments[0][len("texturefile") :])
+    file = find_file(path.parent, comments[0][len("texturefile") :], asked.images.reach)
     texture = colour_texture(asked.images, file, comments[0], notes)
     if texture is None:
         notes.look(MISSING.format(f"{FALLBACK_ALBEDO:g}"), comments[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ..geometry import (
 from ..textures.image_file import ImageFiles
 from .common import Asked, Colour, FileGeometry, FileMaterial, Notes, Vectors, sentences, three
 from .gltf import read_gltf
+from .gltf_lights import placed
 from .obj import read_obj
 from .ply import read_ply
 from .stl import read_stl
@@ -32,6 +34,8 @@ _READERS: dict[str, Callable[[Path, Notes, Asked], list[FileGeometry]]] = {
 }
 # Suffixes of the files that are read.
 KINDS = tuple(_READERS)
+# What is said of materials that emit.
+EMITS = "materials that emit, which light the scene"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +57,14 @@ class FileMeshes:
         What was left out of the geometry or replaced, one sentence a kind.
     notes : list of str
         The same, and what was left out of the file's materials.
+    lights : list of dict
+        The file's punctual lights, as tables of a scene's ``lights``, placed in the world.
     """
 
     meshes: list[FileMesh]
     shape_notes: list[str]
     notes: list[str]
+    lights: list[dict[str, Any]]
 
 
 def read_meshes(
@@ -115,7 +122,8 @@ def read_meshes(
     if notes.smoothing and smooth is None:
         notes.shape("smoothing groups are not read, and faces without normals are flat", "smooth = true")
     shape = sentences(notes.geometry)
-    return FileMeshes(meshes, shape, shape + sentences(notes.looks))
+    lights = [placed(light, transform) for light in notes.lights]
+    return FileMeshes(meshes, shape, shape + sentences(notes.looks), lights)
 
 
 def _placed(
@@ -177,14 +185,14 @@ def _fill_in_normals(meshes: list[Mesh]) -> None:
 
 def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
     """A material within the renderer's limits; notes what had to be changed."""
-    colours = {name: getattr(material, name) for name in ("albedo", "reflectance")}
+    names = ("albedo", "reflectance", "transmission")
+    colours = {name: getattr(material, name) for name in names}
     clamped = {name: _clamped(colour, 1.0) for name, colour in colours.items()}
     emission = _clamped(material.emission, np.inf)
     if clamped != colours or emission != material.emission:
         notes.look("materials with colours outside [0, 1], which are clamped", material.name)
     if any(emission):
-        kind = "materials that emit, which integrand gi renders and direct refuses"
-        notes.look(kind, material.name)
+        notes.look(EMITS, material.name)
     roughness = min(max(float(np.nan_to_num(material.roughness)), SMALLEST_ROUGHNESS), 1.0)
     return replace(material, **clamped, roughness=roughness, emission=emission)
 

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...host.reach import OutsideError, Reach
 from ..table import SceneError, Table
 from .environment import SUN_DIAMETER, UP, Environment, Sun
 from .image import SkyError, aspect_remark, check_sky, read_sky
 
 KEYS = ("radiance", "file", "scale", "rotation", "up", "sky", "zenith", "sun")
+DIRECTIONAL = "directional"
 DIRECTIONAL_KEYS = ("kind", "direction", "irradiance", "angle")
 SKIES = ("overcast", "clear")
 # Every sample looks at all of them.
@@ -21,7 +23,7 @@ MOST_SUNS = 16
 _SMALLEST_DIAMETER = 0.01
 
 
-def read_environment(root: Table, folder: Path) -> tuple[Environment | None, list[str]]:
+def read_environment(root: Table, folder: Path, reach: Reach) -> tuple[Environment | None, list[str]]:
     """The table ``environment``, if there is one, and warnings; files are relative to `folder`."""
     if "environment" not in root:
         return None, []
@@ -43,7 +45,7 @@ def read_environment(root: Table, folder: Path) -> tuple[Environment | None, lis
     if "radiance" in table:
         return replace(blank, radiance=table.colour("radiance"), suns=suns), warnings
     if "file" in table:
-        found = _read_file(table, folder, warnings)
+        found = _read_file(table, folder, reach, warnings)
         return replace(blank, radiance=found, suns=suns), warnings
     if "sky" not in table:
         return replace(blank, suns=suns), warnings
@@ -64,23 +66,6 @@ def directional(table: Table) -> Sun:
     if not np.any(direction):
         raise table.error("direction", "has no length")
     return Sun(-direction, table.colour("irradiance"), _diameter(table, "angle"))
-
-
-def split_lights(root: Table, keys: tuple[str, ...]) -> tuple[list[Table], list[Sun]]:
-    """The tables of ``lights`` of kind quad, which may hold `keys`, and the directional lights."""
-    entries = root.raw("lights") if "lights" in root else []
-    if not isinstance(entries, list):
-        raise root.error("lights", "expected an array of tables [[lights]]")
-    quads, suns = [], []
-    for index, entry in enumerate(entries):
-        is_sun = isinstance(entry, dict) and entry.get("kind") == "directional"
-        table = Table(root.source, f"lights[{index}]", entry, DIRECTIONAL_KEYS if is_sun else keys)
-        table.choice("kind", ("quad", "directional"), "quad")
-        if is_sun:
-            suns.append(directional(table))
-        else:
-            quads.append(table)
-    return quads, suns
 
 
 def with_suns(
@@ -137,14 +122,14 @@ def _check_used(table: Table, kinds: list[str]) -> None:
         raise table.error("rotation", "turns an image or a sun's azimuth; there is none")
 
 
-def _read_file(table: Table, folder: Path, warnings: list[str]) -> NDArray[np.float32]:
+def _read_file(table: Table, folder: Path, reach: Reach, warnings: list[str]) -> NDArray[np.float32]:
     name, scale = table.text("file"), table.number("scale", 1.0, low=0.0)
     try:
-        found = read_sky(folder / name)
+        found = read_sky(reach.checked(folder / name))
         with np.errstate(over="ignore"):
             found = found * np.float32(scale)
         check_sky(found)
-    except SkyError as error:
+    except (SkyError, OutsideError) as error:
         raise table.error(f"file: {Path(name).name}", str(error)) from error
     remark = aspect_remark(found)
     if remark:

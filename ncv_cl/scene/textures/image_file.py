@@ -9,6 +9,7 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
+from ...host.reach import Reach
 from .texture import LARGEST_HALF, Texture, linear_from_srgb
 
 # Pixels of an image's side, and of all images of a scene: 1 GiB of texels.
@@ -23,9 +24,16 @@ class ImageTooLargeError(ValueError):
 
 
 class ImageFiles:
-    """Images of a scene, each decoded once."""
+    """Images of a scene, each decoded once.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    reach : Reach, optional
+        Which files may be read; any by default.
+    """
+
+    def __init__(self, reach: Reach | None = None) -> None:
+        self.reach = reach or Reach()
         self._texels: dict[object, NDArray[np.float16] | None] = {}
         self._count = 0
         self._opacities: dict[int, NDArray[np.float16]] = {}
@@ -43,7 +51,11 @@ class ImageFiles:
         ------
         ImageTooLargeError
             If a side is beyond `LARGEST_SIDE`, or all images together are beyond `MOST_TEXELS`.
+        OutsideError
+            If the file is beyond `reach`.
         """
+        if not isinstance(image, bytes):
+            self.reach.checked(image)
         key = (image if isinstance(image, bytes) else image.resolve(), encoding)
         if key not in self._texels:
             found = self._texels[key] = _decode(image, encoding, MOST_TEXELS - self._count)

@@ -16,6 +16,8 @@ from .normals import bent
 class Surface:
     """The numbers of a `Material` at points, where they may vary.
 
+    Of glass these are its tint, and its reflectance at normal incidence.
+
     Attributes
     ----------
     albedo, reflectance : float64 (n, 3)
@@ -46,7 +48,7 @@ def surface_at(scene: Scene, triangle: NDArray, u: NDArray, v: NDArray) -> Surfa
     material = scene.triangle_material[triangle]
     albedo, reflectance, roughness = (
         np.array([getattr(one, name) for one in scene.materials], np.float64)[material]
-        for name in ("albedo", "reflectance", "roughness")
+        for name in ("tint", "facing", "roughness")
     )
     shares = np.stack([1.0 - u - v, u, v], axis=1).astype(np.float64)
     corners = scene.triangles[triangle]

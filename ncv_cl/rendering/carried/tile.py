@@ -1,0 +1,264 @@
+"""A worker's part of a render: the problem of a few points, and the passes of a task."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...estimation.allocate import Allocation
+from ...estimation.image_estimate import warp_of
+from ...estimation.passes import Passes, Target
+from ...host.clock import Stopwatch
+from ...learning.alpha import scale
+from ...learning.density import Density, DensityNetwork, tabulate
+from ...machines.worker import local_rank, worker_threads
+from ...network.fold import FoldedNetwork
+from ...network.network import Network
+from ...opencl.choose import all_devices, choose_device, device_is_chosen
+from ...opencl.device import Device, DeviceError, open_device
+from ...points.arrays import PointArrays, place_points
+from ...points.points import ShadingPoints, find_points
+from ...points.trace import Tracer
+from ...sampling.accumulate import Accumulator
+from ...sampling.callable import CallableSource, function_points
+from ...sampling.guide import Guide
+from ...sampling.problem import Problem
+from ...scene.load import Scene
+from ...settings.settings import Settings
+from ...visibility.hierarchy import Hierarchy
+from ...visibility.shaft import Occluders
+from ...visibility.slices import Slices
+from ..prepare import assemble
+from .spec import EstimateSpec, ProblemSpec, Request, TileData, TileResult, device_line, this_build
+
+
+class OtherDevice(DeviceError):
+    """A worker would work on a device whose bits differ from the parent's."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What training has left: the control variate's networks, and what guides bounces."""
+
+    network: Network | None
+    density_network: DensityNetwork | None
+    guide: Guide | None
+
+
+class Bench:
+    """What a worker keeps for the tasks of one problem, made when it is first needed.
+
+    Parameters
+    ----------
+    spec : ProblemSpec
+    scene : Scene, optional
+        None for functions of the user.
+    device : Device, optional
+        The parent's own, where this is a thread of it.
+    """
+
+    def __init__(self, spec: ProblemSpec, scene: Scene | None, device: Device | None) -> None:
+        if spec.build != this_build():
+            raise RuntimeError(
+                f"this worker has ncv_cl {this_build()[0]} with other kernels or numbers than the "
+                f"parent, which has {spec.build[0]}: install the same on all machines"
+            )
+        self.spec, self.scene = spec, scene
+        self.device = device or device_like(spec)
+        integrand = spec.integrand.make()
+        if scene is not None and integrand.digest(scene) != spec.integrand_digest:
+            raise RuntimeError(
+                f"this worker's class {type(integrand).__name__} differs from the parent's: install the "
+                "same on all machines"
+            )
+        self.settings = Settings(
+            integrand, spec.method, spec.spp, spec.size, spec.seed, spec.sampling, spec.training
+        )
+        if scene is None:
+            return
+        self.tracer = Tracer(scene, worker_threads(spec.threads))
+        decided = spec.decisions
+        self.hierarchy = Hierarchy(self.device, scene) if decided.most_occluders else None
+        self.slices = Slices(self.device, scene) if decided.sliced else None
+
+    def problem(self, points: ShadingPoints, function: object) -> Problem:
+        """The problem of some points."""
+        spec, settings = self.spec, self.settings
+        if self.scene is None:
+            source = CallableSource(
+                self.device,
+                points,
+                function,
+                settings.integrand.channels,
+                settings.sampling.sampler,
+                spec.seed,
+            )
+            source.offset = spec.offset
+            return Problem(self.device, points, source, np.zeros((2, 3)), ("position",), is_image=False)
+        occluders, decided = None, spec.decisions
+        if decided.most_occluders is not None:
+            room, kept = decided.most_occluders
+            occluders = Occluders(
+                self.device, self.scene, points, settings.integrand, room, self.hierarchy, kept
+            )
+        return assemble(
+            self.device, self.scene, self.tracer, settings, points, self.scene.world_bounds, occluders,
+            self.slices, decided.lines, decided.split,
+        )  # fmt: skip
+
+    def points(self, begin: int, own: TileData) -> ShadingPoints:
+        """A task's shading points, the first of which is `begin` in the whole image."""
+        if self.scene is None:
+            return replace(function_points(self.device, own.vectors[0]), first_id=begin)
+        if own.vectors is not None:
+            count = len(own.vectors[0])
+            cells = np.arange(count, dtype=np.uint32)
+            given = PointArrays(*own.vectors, cells, (count, 1), self.spec.sensors)
+            active = self.settings.integrand.emitters_active
+            return replace(
+                place_points(self.device, self.scene, self.tracer, given, active), first_id=begin
+            )
+        settings = self.settings
+        cells = np.cumsum(own.steps, dtype=np.uint32)
+        size, supersample = settings.size, settings.sampling.supersample
+        active = settings.integrand.emitters_active
+        found = find_points(
+            self.device, self.scene, self.tracer, *size, supersample, active, chosen=cells
+        )
+        return replace(found, first_id=begin)
+
+
+# This process's benches, by the digest of their problem.
+BENCHES: dict[str, Bench] = {}
+_LOCK = threading.Lock()
+# Benches that a process keeps: of the render under way, and of those that take turns with it.
+MOST_KEPT = 4
+
+
+def bench_of(values: Mapping[str, object], key: str) -> Bench:
+    """This process's bench for a problem."""
+    with _LOCK:
+        if key not in BENCHES:
+            spec = values[key]
+            scene = None if spec.scene is None else values[spec.scene]
+            made = Bench(spec, scene, OWN_DEVICES.get(key))
+            while len(BENCHES) >= MOST_KEPT:
+                del BENCHES[next(iter(BENCHES))]
+            BENCHES[key] = made
+        return BENCHES[key]
+
+
+# Devices of renders in this process, by the digest of their problem: threads work on these.
+OWN_DEVICES: dict[str, Device] = {}
+
+
+def device_like(spec: ProblemSpec) -> Device:
+    """This process's device for a problem.
+
+    It is one like the parent's, in the same shape; of several, the one of this process's number on its
+    machine. Where devices may be mixed, or there is none, a variable of the environment chooses, as for
+    all that is done here.
+
+    Raises
+    ------
+    OtherDevice
+        If it is another one than the parent's, and mixed devices are not allowed.
+    """
+    alike = [one for one in all_devices() if one.identity == spec.device]
+    if alike and not (spec.mixed and device_is_chosen()):
+        one = alike[local_rank() % len(alike)]
+        return open_device(one.cl_device, one.index, *spec.widths)
+    device = choose_device()
+    if not spec.mixed and device_line(device) != f"{spec.device}, {spec.shape}":
+        raise OtherDevice(
+            f"a worker's device is {device_line(device)}, the parent's {spec.device}, {spec.shape}: "
+            "their bits may differ. Choose the same on all machines by NCV_CL_DEVICE, or allow "
+            "mixed_devices"
+        )
+    return device
+
+
+def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
+    """Draw the passes of a task."""
+    bench, estimate = bench_of(values, request.spec), values[request.estimate]
+    spec, watch = bench.spec, Stopwatch()
+    learned = values[spec.learned] if spec.learned is not None else Learned(None, None, None)
+    function = values[spec.function] if spec.function is not None else None
+    own = TileData.unpack(request.own)
+    with watch("points"):
+        points = bench.points(request.begin, own)
+        problem = bench.problem(points, function)
+    if estimate.apart:
+        problem = replace(problem, source=problem.apart.source, apart=None)
+        learned = Learned(None, None, None)
+    elif learned.guide is not None:
+        problem.source.use_guide(learned.guide)
+    with watch("fold"):
+        folded, density = _control_variate(problem, bench.settings, learned, own.alpha)
+    warp = None
+    if density is not None:
+        warp = warp_of(bench.device, bench.settings.residual_density, folded, density)
+    targets = _targets(problem, estimate, request, own, folded)
+    means: list[np.ndarray] = []
+
+    def keep(done: int) -> None:
+        if done in request.wanted:
+            means.append(targets[0].accumulator.means())
+
+    passes = Passes(problem, targets, estimate.edges, warp, watch, keep)
+    passes.run("", first=request.first, last=request.last)
+    everything = range(points.active)
+    states = [one.accumulator.part(everything) for one in targets]
+    return TileResult(
+        device_line(bench.device),
+        [(state, samples.astype(np.uint32)) for state, samples in states],
+        means,
+        problem.source.rays,
+        watch.seconds,
+    )
+
+
+def _control_variate(
+    problem: Problem, settings: Settings, learned: Learned, alpha: np.ndarray | None
+) -> tuple[FoldedNetwork | None, Density | None]:
+    """The control variate of the points, as `control_variate` makes it of a trained network."""
+    network, points = learned.network, problem.points
+    if network is None:
+        return None, None
+    folded = FoldedNetwork(
+        problem.device, network, points, problem.factor(network.description.demodulated)
+    )
+    if alpha is not None:
+        scale(folded, alpha)
+    if learned.density_network is None or not settings.needs_magnitude:
+        return folded, None
+    # The magnitude is the parent's; here only the densities' shapes count.
+    return folded, tabulate(problem.device, learned.density_network, network, points)
+
+
+def _targets(
+    problem: Problem,
+    estimate: EstimateSpec,
+    request: Request,
+    own: TileData,
+    folded: FoldedNetwork | None,
+) -> list[Target]:
+    """The estimates to be drawn, with what earlier passes have left."""
+    points = problem.points
+    counts = np.broadcast_to(np.asarray(own.counts, np.int64), points.active)
+    order = np.argsort(counts, kind="stable").astype(np.uint32)
+    order = order[counts[order] > 0]
+    first, last = np.searchsorted(estimate.twice, (request.begin, request.end))
+    twice = estimate.twice[first:last] - np.uint32(request.begin)
+    whole = Allocation(order, counts[order], estimate.at_once)
+    targets = []
+    for number, stream in enumerate(estimate.streams):
+        allocation = whole if number == 0 else whole.restricted(twice, points.active)
+        accumulator = Accumulator(problem.device, points, problem.source.channels, folded)
+        if request.states is not None:
+            accumulator.restore(*request.states[number])
+        targets.append(Target(accumulator, allocation, stream))
+    return targets

@@ -1,0 +1,22 @@
+"""What the readers of scene files return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(eq=False)
+class Found:
+    """A scene file's content.
+
+    Attributes
+    ----------
+    tables : dict
+        As a TOML file has them. Meshes may also be given by arrays, as `build_scene` takes them.
+    said : list of str
+        What the file has that `tables` do not, one sentence a kind.
+    """
+
+    tables: dict[str, Any]
+    said: list[str] = field(default_factory=list)
