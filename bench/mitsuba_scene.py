@@ -12,6 +12,7 @@ What is not:
   takes the triangle's normal, Mitsuba the surface's other side. Global illumination of knot and
   occluders is 0.1 % brighter with ours; without vertex normals in either it agrees within 0.03 %.
 - Shadow rays: ours leave and end a few roundings off the surfaces, Mitsuba's by epsilons of its own.
+- Suns are points, infinitely far away: shadows have no penumbra.
 - A mesh's light from below its geometric normal: ours is zero, Mitsuba's is up to the shadow ray.
 """
 
@@ -28,6 +29,7 @@ import numpy as np
 
 from ncv_cl.scene.geometry import SMALLEST_ROUGHNESS
 from ncv_cl.scene.load import Material, QuadLight, Scene
+from ncv_cl.scene.sky.environment import Environment
 
 # An older LLVM lacks instructions that Mitsuba's compiler emits, and aborts the process.
 OLDEST_LLVM = 16
@@ -105,6 +107,8 @@ class MitsubaScene:
         items |= self._meshes()
         for number, light in enumerate(scene.lights):
             items |= self._light(number, light)
+        if scene.environment is not None and not white_under_sky:
+            items |= self._environment(scene.environment)
         self.scene = mitsuba.load_dict(items)
 
     # ---- conversion ----------------------------------------------------------------------------------
@@ -215,6 +219,37 @@ class MitsubaScene:
             found[f"light{number}{side}"] = item
         return found
 
+    def _environment(self, environment: Environment) -> dict[str, object]:
+        """The image, whose function between pixels is the same, and suns as points infinitely far away.
+
+        Mitsuba's first and last row are the poles themselves, ours the middles of rows.
+        """
+        texels = environment.texels
+        height = texels.shape[0]
+        at = np.clip(np.arange(2 * height + 1) / 2 - 0.5, 0, height - 1)
+        upper = np.minimum(at.astype(int), max(height - 2, 0))
+        part = (at - upper)[:, None, None].astype(np.float32)
+        rows = (1 - part) * texels[upper] + part * texels[np.minimum(upper + 1, height - 1)]
+        # Fewer columns than two cannot be interpolated there.
+        rows = np.ascontiguousarray(np.repeat(rows, 2 if rows.shape[1] == 1 else 1, axis=1))
+        matrix = np.eye(4)
+        matrix[:3, :3] = environment.axes.T
+        to_world = self.mitsuba.ScalarTransform4f(matrix)
+        found: dict[str, object] = {}
+        if texels.any():
+            found["sky"] = {
+                "type": "envmap",
+                "bitmap": self.mitsuba.Bitmap(rows),
+                "to_world": to_world,
+            }
+        for number, sun in enumerate(environment.suns):
+            found[f"sun{number}"] = {
+                "type": "directional",
+                "direction": [float(x) for x in -sun.towards],
+                "irradiance": _rgb(sun.irradiance),
+            }
+        return found
+
     def _parallelogram(self, corner: np.ndarray, edge1: np.ndarray, edge2: np.ndarray) -> object:
         """What maps Mitsuba's rectangle, [-1, 1]² in z = 0, to corner + u edge1 + v edge2."""
         corner, edge1, edge2 = (np.asarray(vector, float) for vector in (corner, edge1, edge2))
@@ -288,7 +323,9 @@ class MitsubaScene:
         sampler.next_2d()
         ray, _ = sensor.sample_ray_differential(0.0, 0.5, at, mi.Point2f(0.5))
         value, valid, _ = method.sample(self.scene, sampler, ray)
-        value = dr.select(valid, value, 0.0)
+        # Rays that miss are not valid to the direct integrator, even where they see the environment.
+        if self.source.environment is None:
+            value = dr.select(valid, value, 0.0)
         sums = [np.array(dr.block_sum(channel, spp), np.float64) for channel in value]
         return np.stack(sums, axis=-1) / spp
 
@@ -302,7 +339,7 @@ class MitsubaScene:
             ray, _ = sensor.sample_ray_differential(0.0, 0.5, at, [0.5, 0.5])
             for _ in range(spp):
                 value, valid, _ = method.sample(self.scene, sampler, mi.RayDifferential3f(ray))
-                if valid:
+                if valid or self.source.environment is not None:
                     found[cell] += np.array(value)
                 sampler.advance()
         return found / spp

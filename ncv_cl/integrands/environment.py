@@ -23,8 +23,8 @@ SUN = Record("SUN", {"direction": 3, "chord": 1, "radiance": 3, "density": 1})
 # Of a row of strips: the environment's part of the square, the image's, where its map begins; then each
 # sun's part.
 SKY_ROW = Record("SKY_ROW", {"share": 1, "image": 1, "map": 1, "suns": 0})
-# Maps' rows: a power of two, as many as the image's if they fit. Twice as many columns.
-FEWEST_ROWS, MOST_ROWS = 64, 256
+# Maps' rows: a power of two, as many as the image's if all maps fit. Twice as many columns.
+FEWEST_ROWS, ENOUGH_ROWS, MOST_ROWS = 64, 128, 512
 MAP_FLOATS_AT_MOST = 1 << 22
 # Of so many normals each has a map of its own; of more, the nearest of 26 directions.
 FEW_NORMALS = 32
@@ -33,6 +33,7 @@ SPREADS = (2e-3, 0.25, 0.5, 1.0, 2.0)
 # Parts of the square for the environment where there are lights, too: what is left for these is a power
 # of two, or three quarters, so strips stay on a dyadic grid.
 SHARES = (0.25, 0.5, 0.75, 0.875)
+_ROWS = tuple(1 << k for k in range(FEWEST_ROWS.bit_length() - 1, MOST_ROWS.bit_length()))
 # The least weight of a cell of a map that any surface's hemisphere reaches into, of the most that it
 # can have.
 LEAST_WEIGHT = 0.1
@@ -48,16 +49,19 @@ def has_image(scene: Scene) -> bool:
     return scene.environment is not None and bool(np.any(scene.environment.radiance))
 
 
-def environment_defines(scene: Scene) -> dict[str, int]:
-    """The `-D` constants of environment.cl; SKY_NUMBERS are what a row of strips has of it."""
-    present, image = has_environment(scene), has_image(scene)
-    suns = len(scene.environment.suns) if present else 0
-    rows = map_rows(scene) if image else FEWEST_ROWS
+def row_numbers(scene: Scene) -> int:
+    """What a row of strips has of the environment."""
+    return SKY_ROW.size + len(scene.environment.suns) if has_environment(scene) else 0
+
+
+def environment_defines(scene: Scene, maps: np.ndarray) -> dict[str, int]:
+    """The `-D` constants of environment.cl, by the maps of `SkyRows`."""
+    rows = rows_of(maps)
     return {
-        "HAS_ENVIRONMENT": int(present),
-        "HAS_SKY_IMAGE": int(image),
-        "SUN_COUNT": suns,
-        "SKY_NUMBERS": SKY_ROW.size + suns if present else 0,
+        "HAS_ENVIRONMENT": int(has_environment(scene)),
+        "HAS_SKY_IMAGE": int(has_image(scene)),
+        "SUN_COUNT": len(scene.environment.suns) if has_environment(scene) else 0,
+        "SKY_NUMBERS": row_numbers(scene),
         "SKY_ROWS": rows,
         "SKY_COLUMNS": 2 * rows,
         **SKY.defines(),
@@ -66,10 +70,20 @@ def environment_defines(scene: Scene) -> dict[str, int]:
     }
 
 
-def map_rows(scene: Scene) -> int:
-    """Rows of the maps of an environment's image."""
-    height = scene.environment.texels.shape[0]
-    return int(min(max(1 << (height - 1).bit_length(), FEWEST_ROWS), MOST_ROWS))
+def rows_of(maps: np.ndarray) -> int:
+    """Rows of maps (maps, floats)."""
+    return next((rows for rows in _ROWS if _map_floats(rows) == maps.shape[1]), FEWEST_ROWS)
+
+
+def _map_rows(environment: Environment, number: int) -> int:
+    """Rows of so many maps of an environment's image."""
+    wanted = max(environment.texels.shape[0], ENOUGH_ROWS)
+    fitting = [rows for rows in _ROWS if number * _map_floats(rows) <= MAP_FLOATS_AT_MOST]
+    return next((rows for rows in fitting if rows >= wanted), max(fitting, default=FEWEST_ROWS))
+
+
+def _map_floats(rows: int) -> int:
+    return (rows + 1) + rows * (2 * rows + 1)
 
 
 @dataclass(frozen=True)
@@ -120,7 +134,7 @@ def sky_rows(scene: Scene, cells: Cells) -> SkyRows:
     brings = np.zeros((count + 1, 1 + len(environment.suns)))
     number, maps = np.zeros(count + 1, np.int64), np.zeros((0, 0), np.float32)
     if has_image(scene):
-        number[1:], maps, irradiance = _maps(environment, cells, map_rows(scene))
+        number[1:], maps, irradiance = _maps(environment, cells)
         brings[:, 0] = irradiance[number]
     for k, sun in enumerate(environment.suns):
         brings[:, 1 + k] = sun.irradiance.mean()
@@ -183,18 +197,15 @@ def _sun_cosines(towards: np.ndarray, half_angle: float, cells: Cells) -> np.nda
     return np.where(highest > -np.sin(half_angle) - 1e-4, np.maximum(mean, 1e-3), 0.0)
 
 
-def _maps(
-    environment: Environment, cells: Cells, rows: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _maps(environment: Environment, cells: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Each cell's map, int64 (cells,), counted from 1; maps, of which 0 is that of all directions; and
     the irradiance of each one's surfaces, float64 (maps,)."""
     direction, own = _directions(cells.middle)
     spread = np.linalg.norm(cells.middle - direction[own], axis=1) + np.linalg.norm(cells.spread, axis=1)
     bucket = np.searchsorted(SPREADS[:-1], spread + 1e-4)
     kinds, chosen = np.unique(np.stack([own, bucket], axis=1), axis=0, return_inverse=True)
+    rows = _map_rows(environment, 1 + len(kinds))
     grid = _grid(environment, rows)
-    floats = (rows + 1) + rows * (2 * rows + 1)
-    assert (1 + len(kinds)) * floats <= MAP_FLOATS_AT_MOST
     maps, irradiance = [_cumulative(grid.radiance, rows)], [np.pi * grid.radiance.mean()]
     for number, of_bucket in kinds:
         weight = grid.weight(direction[number], SPREADS[of_bucket])
@@ -263,9 +274,11 @@ def _towards(environment: Environment, height: np.ndarray, azimuth: np.ndarray) 
 def _cell_means(pixels: np.ndarray, rows: int) -> np.ndarray:
     """Means of an image (height, width) over the cells of a map, as it is interpolated: (rows, 2 rows).
 
-    Those of the interpolation over each pixel, 1/8, 3/4 and 1/8 of it and its neighbours; then of these
-    over the cells, which lie across pixels.
+    Pixels are made smaller than cells. Then means of the interpolation over each, 1/8, 3/4 and 1/8 of
+    it and its neighbours; and of these over the cells, which lie across pixels.
     """
+    pixels = _finer(pixels, 2 * rows, wraps=False)
+    pixels = _finer(pixels.T, 4 * rows, wraps=True).T
     above, below = np.vstack([pixels[:1], pixels[:-1]]), np.vstack([pixels[1:], pixels[-1:]])
     pixels = 0.75 * pixels + 0.125 * (above + below)
     pixels = 0.75 * pixels + 0.125 * (np.roll(pixels, 1, axis=1) + np.roll(pixels, -1, axis=1))
@@ -279,6 +292,18 @@ def _cell_means(pixels: np.ndarray, rows: int) -> np.ndarray:
     means = np.diff(np.diff(sums, axis=0), axis=1).T * (rows / 2) * (2 * rows / width)
     # Differences of sums: what is 0 may come out otherwise.
     return np.where(means > 1e-12 * means.max(), means, 0.0)
+
+
+def _finer(pixels: np.ndarray, wanted: int, wraps: bool) -> np.ndarray:
+    """Rows between those of an image, a whole number for each, until there are as many as wanted."""
+    count = len(pixels)
+    at = (np.arange(count * -(-wanted // count)) + 0.5) / -(-wanted // count) - 0.5
+    if not wraps:
+        at = np.clip(at, 0, count - 1)
+    first = np.floor(at).astype(int)
+    part = (at - first)[:, None]
+    following = (first + 1) % count if wraps else np.minimum(first + 1, count - 1)
+    return (1 - part) * pixels[first % count] + part * pixels[following]
 
 
 def _interpolated(at: np.ndarray, places: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -11,7 +11,15 @@ from ..opencl.layout import Record
 from ..points.points import RELATIVE_OFFSET
 from ..scene.load import Scene
 from . import tuning
-from .environment import SKY_ROW, environment_defines, has_environment, maps_begin, sky_block, sky_rows
+from .environment import (
+    SKY_ROW,
+    environment_defines,
+    has_environment,
+    maps_begin,
+    row_numbers,
+    sky_block,
+    sky_rows,
+)
 from .light_cells import Cells, may_light, mean_irradiance, scene_cells
 from .light_sources import BALL, DISC, PARALLELOGRAM, TRIANGLE, Lights, light_sources
 
@@ -55,6 +63,7 @@ STRIP = Record("STRIP", {"first": 1, "width": 1})
 CLUSTER = Record("CLUSTER", {"steps": 1, "table": 1})
 # Kernel files of lights.
 LIGHT_FILES = ("light_shapes", "lights")
+NO_MAPS = np.zeros((0, 0), np.float32)
 # Steps of the dyadic grid that strips are made of, at least; and steps a light, at least.
 FEWEST_STRIP_STEPS = 16
 STEPS_A_LIGHT = 4
@@ -165,7 +174,7 @@ def _light_rows(scene: Scene) -> LightRows:
     table = np.zeros(cells.table_length, np.int64)
     table[cells.number[lit]] = row.ravel() + 1
     widths, columns = np.split(np.concatenate([rows[:1], distinct]), [lights.strips], axis=1)
-    return LightRows(widths, table, cells, columns, np.zeros((0, 0)) if sky is None else sky.maps)
+    return LightRows(widths, table, cells, columns, NO_MAPS if sky is None else sky.maps)
 
 
 def _of_lights(
@@ -231,6 +240,7 @@ def has_rows(scene: Scene) -> bool:
 def light_defines(scene: Scene) -> dict[str, int]:
     """The `-D` constants of lights.cl."""
     lights = light_sources(scene).lights
+    maps = light_rows(scene).maps if has_environment(scene) else NO_MAPS
     return {
         "LIGHT_COUNT": len(lights.strip),
         **LIGHT.defines(),
@@ -240,7 +250,7 @@ def light_defines(scene: Scene) -> dict[str, int]:
         "STRIP_COUNT": lights.strips,
         "STRIP_STEPS": int(_steps(lights.strips)),
         "HAS_ROWS": int(has_rows(scene)),
-        **environment_defines(scene),
+        **environment_defines(scene, maps),
         "HAS_CLUSTERS": int(lights.has_clusters),
         "ALL_CLUSTERS_FLOATS": len(_parts_of(lights)[1]),
         "HAS_SHAPES": int((lights.shape != PARALLELOGRAM).any()),
@@ -283,7 +293,7 @@ def _steps(count: np.ndarray | int) -> np.ndarray:
 
 def _row_floats(scene: Scene) -> int:
     count = light_sources(scene).lights.strips
-    return int(_steps(count)) + STRIP.size * count + environment_defines(scene)["SKY_NUMBERS"]
+    return int(_steps(count)) + STRIP.size * count + row_numbers(scene)
 
 
 def _parts_of(lights: Lights) -> tuple[np.ndarray, np.ndarray]:
