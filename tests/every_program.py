@@ -89,6 +89,12 @@ radius = 0.5
 material = "floor"
 """
 )
+GLASS = (
+    MATTE.replace("[[quads]]", "[materials.glass]\ntransmission = 1\nroughness = 0.2\n[[quads]]", 1)
+    + '[[spheres]]\ncenter = [0, 1, 0]\nradius = 0.5\nmaterial = "glass"\n'
+)
+# Thin, and as many lights as have strips.
+PANES = GLASS.replace("roughness = 0.2", "thin = true") + GLOSSY[GLOSSY.rindex("[[lights]]") :]
 
 # An image on a matte and on a glossy floor, beside colours of vertices.
 TEXTURED = MATTE.replace("albedo = [0.2, 0.5, 0.7]", 'albedo = { file = "image.exr" }')
@@ -113,6 +119,9 @@ def render_everything(device: Device, folder: Path) -> None:
         (GLOWING, DirectLight()),
         (ROUND, DirectLight()),
         (ROUND, GlobalIllumination(3)),
+        (GLASS, DirectLight()),
+        (GLASS, GlobalIllumination(3)),
+        (PANES, GlobalIllumination(3)),
         (TEXTURED, GlobalIllumination(3)),
         (
             TEXTURED.replace("[[quads]]", "reflectance = 0.2\n[[quads]]") + COLOURED,

@@ -17,6 +17,7 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.problem import Problem
 from ..sampling.warp import TableWarp, Warp
+from ..settings.filters import error_factor
 from ..settings.settings import Settings
 from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
@@ -267,7 +268,12 @@ def error_of(estimate: Estimate, settings: Settings) -> float:
     # Errors of a pixel's points are independent; one channel stands for all three.
     pixels = settings.size[0] * settings.size[1]
     variance = estimate.variance_of_mean.mean(axis=0).sum()
-    return float(variance) / (pixels * settings.sampling.supersample**4)
+    sampling = settings.sampling
+    if sampling.filter == "box":
+        return float(variance) / (pixels * sampling.supersample**4)
+    # The sum is over k * k points a pixel.
+    factor = error_factor(sampling.filter, sampling.supersample) / sampling.supersample**2
+    return float(variance) / pixels * factor
 
 
 def warp_of(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:

@@ -9,6 +9,7 @@ from ..points.background import background_directions
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
+from ..settings.filters import weights
 from ..settings.settings import Settings
 from .image import Image
 
@@ -92,14 +93,30 @@ def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) ->
 
 
 class PixelGrid:
-    """The box filter from sub-pixels to pixels."""
+    """The filter from sub-pixels to pixels.
 
-    def __init__(self, points: ShadingPoints, size: tuple[int, int], supersample: int) -> None:
+    Parameters
+    ----------
+    points : ShadingPoints
+    size : (int, int)
+        Columns and rows of pixels.
+    supersample : int
+        Sub-pixels of a pixel along an axis.
+    name : str
+        Of `filters.RADIUS`.
+    """
+
+    def __init__(
+        self, points: ShadingPoints, size: tuple[int, int], supersample: int, name: str = "box"
+    ) -> None:
         self.width, self.height = size
         columns = self.width * supersample
         row, column = points.cell // columns, points.cell % columns
         self.pixel = (row // supersample) * self.width + column // supersample
         self.cells_a_pixel = supersample**2
+        self._side = supersample
+        self._cell = points.cell
+        self._weights = None if name == "box" else weights(name, supersample)
 
     def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
         """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
@@ -108,8 +125,42 @@ class PixelGrid:
         return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
 
     def average(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """As `sum`, over the number of sub-pixels: what is not there counts as zero."""
-        return self.sum(values, points) / self.cells_a_pixel
+        """As `sum`, filtered: what is not there counts as zero."""
+        if self._weights is None:
+            return self.sum(values, points) / self.cells_a_pixel
+        return self._filtered(values, points, 1)
+
+    def variance(self, values: np.ndarray, points: slice) -> np.ndarray:
+        """Variances of averages of points whose errors are independent, as `average` takes them.
+
+        Those of neighbouring pixels are not independent where a filter is wider than a pixel.
+        """
+        if self._weights is None:
+            return self.average(values, points) / self.cells_a_pixel
+        return self._filtered(values, points, 2)
+
+    def _filtered(self, values: np.ndarray, points: slice, power: int) -> np.ndarray:
+        """Sums with weights to some power, over those of what lies in the picture."""
+        rows, columns = self.height * self._side, self.width * self._side
+        planes = []
+        for row in values:
+            plane = np.zeros(rows * columns)
+            plane[self._cell[points]] = row
+            along = self._along(plane.reshape(rows, columns).T, power)
+            planes.append(self._along(along.T, power))
+        return np.stack(planes, axis=-1)
+
+    def _along(self, plane: np.ndarray, power: int) -> np.ndarray:
+        """Sub-pixels (n, m) filtered along the first axis, (n / side, m)."""
+        reach = (len(self._weights) - self._side) // 2
+        padded = np.zeros((len(plane) + 2 * reach, plane.shape[1]))
+        padded[reach : reach + len(plane)] = plane
+        inside = np.zeros((len(padded), 1))
+        inside[reach : reach + len(plane)] = 1.0
+        last = len(plane) - self._side + 1
+        total = sum(w**power * padded[i : i + last : self._side] for i, w in enumerate(self._weights))
+        share = sum(w * inside[i : i + last : self._side] for i, w in enumerate(self._weights))
+        return total / share**power
 
 
 def resolve_image(
@@ -137,13 +188,14 @@ def resolve_image(
         Of direct light that the other estimates leave out.
     """
     integrand, samples = settings.integrand, float(settings.spp)
-    grid = PixelGrid(points, settings.size, settings.sampling.supersample)
+    sampling = settings.sampling
+    grid = PixelGrid(points, settings.size, sampling.supersample, sampling.filter)
     active, everything = slice(0, points.active), slice(0, points.total)
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
     pixels = grid.average(mean, active) + np.zeros(3)
     # Errors of a pixel's points are independent: variances add with the square of the weight.
-    pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
+    pixel_variance = grid.variance(variance, active) + np.zeros(3)
 
     emitted = emitted_light(scene, integrand, points)
     if emitted.any():
