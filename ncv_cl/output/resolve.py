@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands.emitted import emitted_light
-from ..points.points import ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
 from ..settings.settings import Settings
 from .image import Image
 
+# Points that are worked at together, and pixels whose layers are kept in double precision.
+LARGE = 1 << 22
 # Below this weight the training samples' estimate is left out, since it would change nothing visible.
 SMALLEST_SHARE = 0.01
 
@@ -102,13 +104,32 @@ class PixelGrid:
 
     def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
         """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
-        pixel, pixels = self.pixel[points], self.width * self.height
-        planes = [np.bincount(pixel, weights=row, minlength=pixels) for row in values]
-        return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
+        found = np.empty((self.height, self.width, len(values)))
+        for channel, row in enumerate(values):
+            found[..., channel] = self.plane(row, points)
+        return found
 
-    def average(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """As `sum`, over the number of sub-pixels: what is not there counts as zero."""
-        return self.sum(values, points) / self.cells_a_pixel
+    def plane(self, values: np.ndarray | None, points: slice) -> np.ndarray:
+        """Sum of one channel (points,), or the number of points: float64 (height, width)."""
+        found = np.bincount(self.pixel[points], values, self.width * self.height)
+        return found.reshape(self.height, self.width).astype(np.float64, copy=False)
+
+    def average(self, values: np.ndarray, points: slice, channels: int | None = None) -> np.ndarray:
+        """As `sum`, over the number of sub-pixels: what is not there counts as zero.
+
+        A single channel is repeated, if more are asked for; numbers are `layer_type`.
+        """
+        shape = (self.height, self.width, channels or len(values))
+        found = np.empty(shape, self.layer_type)
+        for channel, row in enumerate(values):
+            wanted = slice(None) if len(values) == 1 else slice(channel, channel + 1)
+            found[..., wanted] = (self.plane(row, points) / self.cells_a_pixel)[..., None]
+        return found
+
+    @property
+    def layer_type(self) -> type:
+        """Of layers' numbers: what files hold, where more would take much memory."""
+        return np.float32 if self.width * self.height > LARGE else np.float64
 
 
 def resolve_image(
@@ -140,31 +161,43 @@ def resolve_image(
     active, everything = slice(0, points.active), slice(0, points.total)
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
-    pixels = grid.average(mean, active) + np.zeros(3)
-    # Errors of a pixel's points are independent: variances add with the square of the weight.
-    pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
-
     emitted = emitted_light(scene, integrand, points)
-    if emitted.any():
-        pixels += grid.average(emitted.T, everything)
-
-    layers = {
-        "albedo": grid.average(points.rows("albedo"), everything),
-        "N": grid.average(points.rows("normal"), everything),
-        "depth": _depth(scene, grid, points),
-    }
+    emitted = emitted.T if emitted.any() else None
+    pixels, pixel_variance = (np.empty((grid.height, grid.width, 3), np.float32) for _ in range(2))
+    for channel in range(3):
+        # Of one channel all three are the same number.
+        own = channel % len(mean)
+        plane = grid.plane(mean[own], active) / grid.cells_a_pixel
+        if emitted is not None:
+            plane += grid.plane(emitted[channel], everything) / grid.cells_a_pixel
+        pixels[..., channel] = plane
+        # Errors of a pixel's points are independent: variances add with the square of the weight.
+        plane = grid.plane(variance[own], active) / grid.cells_a_pixel
+        pixel_variance[..., channel] = plane / grid.cells_a_pixel
+    del emitted
+    with points.surface.mapped() as rows:
+        layers = {
+            "albedo": grid.average(rows[SURFACE["albedo"]], everything),
+            "N": grid.average(rows[SURFACE["normal"]], everything),
+            "depth": _depth(scene, grid, rows[SURFACE["position"]]),
+        }
     if residual is not None and integral is not None:
-        layers["G"] = grid.average(integral, active) + np.zeros(3)
-        layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+        layers["G"] = grid.average(integral, active, 3)
+        layers["residual"] = grid.average(residual.mean, active, 3)
     if direct is not None:
-        layers["direct"] = grid.average(direct.mean, active) + np.zeros(3)
+        layers["direct"] = grid.average(direct.mean, active, 3)
     return Image(pixels, pixel_variance, layers)
 
 
-def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:
+def _depth(scene: Scene, grid: PixelGrid, position: np.ndarray) -> np.ndarray:
     """Mean distance from the camera over a pixel's hits; 0 where nothing was hit."""
-    offset = points.rows("position") - np.asarray(scene.camera.position, np.float32)[:, None]
-    everything = slice(0, points.total)
-    distances = grid.sum(np.linalg.norm(offset, axis=0)[None], everything)
-    hits = grid.sum(np.ones((1, points.total)), everything)
-    return (distances / np.maximum(hits, 1))[..., 0]
+    camera = np.asarray(scene.camera.position, np.float32)[:, None]
+    total = position.shape[1]
+    distance = np.empty(total, np.float32)
+    for first in range(0, total, LARGE):
+        part = slice(first, first + LARGE)
+        distance[part] = np.linalg.norm(position[:, part] - camera, axis=0)
+    everything = slice(0, total)
+    found = grid.plane(distance, everything)
+    found /= np.maximum(grid.plane(None, everything), 1)
+    return found.astype(grid.layer_type, copy=False)

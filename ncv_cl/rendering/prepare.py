@@ -134,6 +134,7 @@ def assemble(
         slices=slices,
         shadows_tested=settings.sampling.visibility != "embree",
     )
+    glow = emitted_light(scene, integrand, points)[: points.active].T
     narrowest = 1.0
     if integrand.defines(scene).get("LIGHT_COUNT"):
         narrowest = narrowest_strip(scene)
@@ -145,7 +146,7 @@ def assemble(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
-        glow=emitted_light(scene, integrand, points)[: points.active].T,
+        glow=glow if glow.any() else None,
         apart=apart,
         slices=choice,
         decisions=decisions,
