@@ -11,7 +11,8 @@ from reference import camera_at, light_at, mesh_scene, quad
 import ncv_cl as ncv
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.opencl.memory import HostArray
-from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
+from ncv_cl.output.pixel_grid import PixelGrid
+from ncv_cl.output.resolve import combine, estimate_of, resolve_image
 from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.sampling.accumulate import Estimate
 from ncv_cl.settings.filters import RADIUS, error_factor, weights
@@ -214,7 +215,8 @@ def test_pixels_are_weighted_means_of_the_sub_pixels_about_them(name, side):
     expected = np.einsum("ri,nij,cj->rcn", rows, plane, columns)
     np.testing.assert_allclose(grid.average(values, everything), expected, rtol=1e-12)
     squares = np.einsum("ri,nij,cj->rcn", rows**2, plane, columns**2)
-    np.testing.assert_allclose(grid.variance(values, everything), squares, rtol=1e-12)
+    found = np.stack([grid.variance_of_mean(row, everything) for row in values], axis=-1)
+    np.testing.assert_allclose(found, squares, rtol=1e-12)
     # What pixels of equal sub-pixels err by, far from the picture's sides.
     inner = np.sum(rows[2] ** 2) * np.sum(columns[3] ** 2)
     assert error_factor(name, side) == pytest.approx(inner)

@@ -120,10 +120,9 @@ class ImageEstimate:
         first = self._first.result(quantity)
         if not self._points.active:
             return first
-        prior = self._prior(first)
         if self._second is None:
+            prior = self._prior(first)
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
-        second = self._second.result(quantity)
         # If the last kept mean is that of all samples, the one before it is the part.
         done = self.done if self.ahead is None else self.ahead_to
         parts = self.parts[:-1] if _is_power_of_two(done) else self.parts
@@ -131,10 +130,13 @@ class ImageEstimate:
             expected = halves(first.mean, parts[-1][quantity], *self._grid)
             repeated = expected[:, self.twice]
         else:
+            prior = self._prior(first)
             expected, repeated = (
-                steadied(each, prior) / np.maximum(each.samples, 1) for each in (first, second)
+                steadied(each, prior) / np.maximum(each.samples, 1)
+                for each in (first, self._second.result(quantity))
             )
             repeated = repeated[:, self.twice]
+        second = self._second.result(quantity, self.twice)
         return calibrate(first, second, self.twice, expected, repeated)
 
     def end(self) -> tuple[Estimate, Estimate | None]:

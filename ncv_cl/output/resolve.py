@@ -6,12 +6,12 @@ import numpy as np
 
 from ..integrands.emitted import emitted_light
 from ..points.background import background_directions
-from ..points.points import ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
-from ..settings.filters import weights
 from ..settings.settings import Settings
 from .image import Image
+from .pixel_grid import LARGE, PixelGrid
 
 # Below this weight the training samples' estimate is left out, since it would change nothing visible.
 SMALLEST_SHARE = 0.01
@@ -92,77 +92,6 @@ def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) ->
     return np.where(training.known, ratio * spread, error)
 
 
-class PixelGrid:
-    """The filter from sub-pixels to pixels.
-
-    Parameters
-    ----------
-    points : ShadingPoints
-    size : (int, int)
-        Columns and rows of pixels.
-    supersample : int
-        Sub-pixels of a pixel along an axis.
-    name : str
-        Of `filters.RADIUS`.
-    """
-
-    def __init__(
-        self, points: ShadingPoints, size: tuple[int, int], supersample: int, name: str = "box"
-    ) -> None:
-        self.width, self.height = size
-        columns = self.width * supersample
-        row, column = points.cell // columns, points.cell % columns
-        self.pixel = (row // supersample) * self.width + column // supersample
-        self.cells_a_pixel = supersample**2
-        self._side = supersample
-        self._cell = points.cell
-        self._weights = None if name == "box" else weights(name, supersample)
-
-    def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
-        pixel, pixels = self.pixel[points], self.width * self.height
-        planes = [np.bincount(pixel, weights=row, minlength=pixels) for row in values]
-        return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
-
-    def average(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """As `sum`, filtered: what is not there counts as zero."""
-        if self._weights is None:
-            return self.sum(values, points) / self.cells_a_pixel
-        return self._filtered(values, points, 1)
-
-    def variance(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """Variances of averages of points whose errors are independent, as `average` takes them.
-
-        Those of neighbouring pixels are not independent where a filter is wider than a pixel.
-        """
-        if self._weights is None:
-            return self.average(values, points) / self.cells_a_pixel
-        return self._filtered(values, points, 2)
-
-    def _filtered(self, values: np.ndarray, points: slice, power: int) -> np.ndarray:
-        """Sums with weights to some power, over those of what lies in the picture."""
-        rows, columns = self.height * self._side, self.width * self._side
-        planes = []
-        for row in values:
-            plane = np.zeros(rows * columns)
-            plane[self._cell[points]] = row
-            along = self._along(plane.reshape(rows, columns).T, power)
-            planes.append(self._along(along.T, power))
-        return np.stack(planes, axis=-1)
-
-    def _along(self, plane: np.ndarray, power: int) -> np.ndarray:
-        """Sub-pixels (n, m) filtered along the first axis, (n / side, m)."""
-        reach = (len(self._weights) - self._side) // 2
-        padded = np.zeros((len(plane) + 2 * reach, plane.shape[1]))
-        padded[reach : reach + len(plane)] = plane
-        inside = np.zeros((len(padded), 1))
-        inside[reach : reach + len(plane)] = 1.0
-        last = len(plane) - self._side + 1
-        total = sum(w**power * padded[i : i + last : self._side] for i, w in enumerate(self._weights))
-        share = sum(w * inside[i : i + last : self._side] for i, w in enumerate(self._weights))
-        return total / share**power
-
-
 def resolve_image(
     scene: Scene,
     settings: Settings,
@@ -193,48 +122,61 @@ def resolve_image(
     active, everything = slice(0, points.active), slice(0, points.total)
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
-    pixels = grid.average(mean, active) + np.zeros(3)
-    # Errors of a pixel's points are independent: variances add with the square of the weight.
-    pixel_variance = grid.variance(variance, active) + np.zeros(3)
-
     emitted = emitted_light(scene, integrand, points)
-    if emitted.any():
-        pixels += grid.average(emitted.T, everything)
-    _add_background(pixels, scene, settings, points)
-
-    layers = {
-        "albedo": grid.average(points.rows("albedo"), everything),
-        "N": grid.average(points.rows("normal"), everything),
-        "depth": _depth(scene, grid, points),
-    }
+    emitted = emitted.T if emitted.any() else None
+    beyond = _background(scene, settings, points)
+    pixels, pixel_variance = (np.empty((grid.height, grid.width, 3), np.float32) for _ in range(2))
+    for channel in range(3):
+        # Of one channel all three are the same number.
+        own = channel % len(mean)
+        plane = grid.mean(mean[own], active)
+        if emitted is not None:
+            plane += grid.mean(emitted[channel], everything)
+        if beyond is not None:
+            plane += grid.mean_of_cells(beyond[1][:, channel], beyond[0])
+        pixels[..., channel] = plane
+        pixel_variance[..., channel] = grid.variance_of_mean(variance[own], active)
+    del emitted, beyond
+    with points.surface.mapped() as rows:
+        layers = {
+            "albedo": grid.average(rows[SURFACE["albedo"]], everything),
+            "N": grid.average(rows[SURFACE["normal"]], everything),
+            "depth": _depth(scene, grid, rows[SURFACE["position"]]),
+        }
     if residual is not None and integral is not None:
-        layers["G"] = grid.average(integral, active) + np.zeros(3)
-        layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+        layers["G"] = grid.average(integral, active, 3)
+        layers["residual"] = grid.average(residual.mean, active, 3)
     if direct is not None:
-        layers["direct"] = grid.average(direct.mean, active) + np.zeros(3)
+        layers["direct"] = grid.average(direct.mean, active, 3)
     return Image(pixels, pixel_variance, layers)
 
 
-def _add_background(pixels: np.ndarray, scene: Scene, settings: Settings, points: ShadingPoints) -> None:
-    """Add what is seen beyond the scene to pixels, float64 (height, width, 3)."""
+def _background(
+    scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Sub-pixels that show what is beyond the scene, and that, (n, 3); None where it is black."""
     if not points.background:
-        return
-    supersample, flat = settings.sampling.supersample, pixels.reshape(-1, 3)
-    width = settings.size[0]
-    columns = width * supersample
-    parts = background_directions(scene.camera, points, settings.size, supersample)
-    for cell, towards in parts:
+        return None
+    cells, found = [], []
+    supersample = settings.sampling.supersample
+    for cell, towards in background_directions(scene.camera, points, settings.size, supersample):
         seen = settings.integrand.background(scene, towards)
         if seen is None:
-            return
-        pixel = cell // columns // supersample * width + cell % columns // supersample
-        np.add.at(flat, pixel, seen / supersample**2)
+            return None
+        cells.append(cell)
+        found.append(seen)
+    return np.concatenate(cells), np.concatenate(found)
 
 
-def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:
+def _depth(scene: Scene, grid: PixelGrid, position: np.ndarray) -> np.ndarray:
     """Mean distance from the camera over a pixel's hits; 0 where nothing was hit."""
-    offset = points.rows("position") - np.asarray(scene.camera.position, np.float32)[:, None]
-    everything = slice(0, points.total)
-    distances = grid.sum(np.linalg.norm(offset, axis=0)[None], everything)
-    hits = grid.sum(np.ones((1, points.total)), everything)
-    return (distances / np.maximum(hits, 1))[..., 0]
+    camera = np.asarray(scene.camera.position, np.float32)[:, None]
+    total = position.shape[1]
+    distance = np.empty(total, np.float32)
+    for first in range(0, total, LARGE):
+        part = slice(first, first + LARGE)
+        distance[part] = np.linalg.norm(position[:, part] - camera, axis=0)
+    everything = slice(0, total)
+    found = grid.plane(distance, everything)
+    found /= np.maximum(grid.plane(None, everything), 1)
+    return found.astype(grid.layer_type, copy=False)
