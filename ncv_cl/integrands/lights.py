@@ -46,10 +46,12 @@ LIGHT = Record(
     multiple=16,
 )
 # Between the records and the rows of strips: the grid of cells by its lower corner, one over the extent
-# of its boxes and how many there are along each axis, and where the table of cells begins.
+# of its boxes and how many there are along each axis, and where behind the first row the table of cells
+# begins: single precision holds that exactly, and so it does where tables of clusters do.
 FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1}, multiple=16)
 STRIP = Record("STRIP", {"first": 1, "width": 1})
-# Of a strip of several lights: in how many steps a table deals it out, and where that begins.
+# Of a strip of several lights: in how many steps a table deals it out, and where that begins behind the
+# frame.
 CLUSTER = Record("CLUSTER", {"steps": 1, "table": 1})
 # Kernel files of lights.
 LIGHT_FILES = ("light_shapes", "lights")
@@ -181,7 +183,7 @@ def _light_records(scene: Scene) -> np.ndarray:
         lower=rows.cells.lower,
         inverse=rows.cells.inverse,
         counts=rows.cells.counts,
-        table=len(records) + FRAME.size + len(clusters) + each.size,
+        table=each.size,
     )
     found = (records, frame, clusters, each.ravel(), rows.table)
     return np.concatenate([part.astype(np.float32) for part in found])
@@ -199,7 +201,7 @@ def light_defines(scene: Scene) -> dict[str, int]:
         "STRIP_COUNT": lights.strips,
         "STRIP_STEPS": int(_steps(lights.strips)),
         "HAS_CLUSTERS": int(lights.has_clusters),
-        "ALL_CLUSTERS_FLOATS": len(_parts_of(lights)[1]),
+        "ALL_CLUSTERS_FLOATS": _clusters_floats(lights),
         "HAS_SHAPES": int((lights.shape != PARALLELOGRAM).any()),
         "HAS_BALLS": int(lights.has_balls),
         "HAS_BRIGHT_SURFACES": int(len(lights.strip) > len(scene.lights)),
@@ -238,6 +240,13 @@ def _row_floats(count: int) -> int:
     return int(_steps(count)) + STRIP.size * count
 
 
+def _clusters_floats(lights: Lights) -> int:
+    """Floats of what lights.cl reads of clusters."""
+    if not lights.has_clusters:
+        return 0
+    return lights.strips * CLUSTER.size + int(_steps(np.bincount(lights.strip)).sum())
+
+
 def _parts_of(lights: Lights) -> tuple[np.ndarray, np.ndarray]:
     """Each light's part of its strip, float64 (lights, 2): where it begins and how wide it is.
 
@@ -247,7 +256,7 @@ def _parts_of(lights: Lights) -> tuple[np.ndarray, np.ndarray]:
     parts = np.tile([0.0, 1.0], (len(lights.strip), 1))
     if not lights.has_clusters:
         return parts, np.zeros(0)
-    begin = len(lights.strip) * LIGHT.size + FRAME.size + lights.strips * CLUSTER.size
+    begin = lights.strips * CLUSTER.size
     power, heads, tables = lights.power, [], []
     for strip in range(lights.strips):
         own = np.flatnonzero(lights.strip == strip)
