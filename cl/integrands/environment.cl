@@ -34,7 +34,7 @@ typedef struct {
 } SkySeen;
 
 global const float *sky_record(global const float *restrict lights) {
-  return lights + (int)lights[LIGHT_FRAME + FRAME_SKY];
+  return lights + FIRST_ROW + (int)lights[LIGHT_FRAME + FRAME_SKY];
 }
 
 #if HAS_SKY_IMAGE
@@ -129,7 +129,7 @@ SkySeen sky_seen(global const float *restrict lights, const whole strips, const 
   const real turns = SELECT(half_turns, 1.0f - half_turns, x < 0.0f);
   const real angle = half_turn_angle(max(sqrt(FMA(x, x, z * z)), (real)1e-20f), y) * M_1_PI_F;
   seen.radiance = image_radiance(sky, angle, turns);
-  const whole map = TO_WHOLE(gather(lights, row + SKY_ROW_MAP));
+  const whole map = FIRST_ROW + TO_WHOLE(gather(lights, row + SKY_ROW_MAP));
   seen.density = gather(lights, row + SKY_ROW_IMAGE) * map_density(lights, map, y, turns);
 #endif
   for (int k = 0; k < SUN_COUNT; ++k) {
@@ -178,7 +178,7 @@ LightSample sample_sky(global const float *restrict lights, const whole strips, 
   strip = SELECT(strip, (whole)IMAGE_STRIP, u < width);
   real down, around;
   const real along = min(u / max(width, (real)1e-30f), (real)0.99999994f);
-  sample_map(lights, TO_WHOLE(gather(lights, row + SKY_ROW_MAP)), along, v, &down, &around);
+  sample_map(lights, FIRST_ROW + TO_WHOLE(gather(lights, row + SKY_ROW_MAP)), along, v, &down, &around);
   real cosine;
   const real sine = sincos_of_turns(around * (1.0f / SKY_COLUMNS), &cosine);
   const real below = down * (2.0f / SKY_ROWS);

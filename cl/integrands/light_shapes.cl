@@ -140,7 +140,8 @@ INLINED real view_x(const LightView *view, const real u, const real angle) {
 /* `toward_tip`'s density where the line is at x. */
 INLINED real tip_density(const LightView *view, const real x, const real angle) {
   const real x1 = view->x0 + view->width;
-  const real left = half_turn_angle(view->z * max(x1 - x, (real)0.0f), FMA(view->z, view->z, x * x1)) / max(angle, (real)1e-30f);
+  const real beyond = half_turn_angle(view->z * max(x1 - x, (real)0.0f), FMA(view->z, view->z, x * x1));
+  const real left = beyond / max(angle, (real)1e-30f);
   return SELECT((real)1.0f, 2.0f * min(left, (real)1.0f), view->shape == (float)SHAPE_TRIANGLE);
 }
 #endif

@@ -72,7 +72,8 @@ whole all_strips(global const float *restrict lights) {
     const integer axis = choose(choose((integer)2, (integer)1, along_y), (integer)0, along_x);                      \
     const integer direction = 2 * axis + choose((integer)0, (integer)1, along > 0.0f);                              \
     const integer box = (layer * (int)frame[FRAME_COUNTS + 1] + row) * (int)frame[FRAME_COUNTS] + column;           \
-    return FIRST_ROW + LIGHT_ROW_FLOATS * to_integer(look_up(lights, (int)frame[FRAME_TABLE] + 6 * box + direction));\
+    const integer cell = FIRST_ROW + (int)frame[FRAME_TABLE] + 6 * box + direction;                                 \
+    return FIRST_ROW + LIGHT_ROW_FLOATS * to_integer(look_up(lights, cell));                                        \
   }
 
 DEFINE_STRIPS(hit_strips, real, whole, TO_WHOLE, SELECT, gather)
@@ -138,7 +139,8 @@ INLINED whole light_at(global const float *restrict lights, const whole row, con
   const whole cluster = LIGHT_FRAME + FRAME_FLOATS + CLUSTER_FLOATS * owner;
   const real steps = gather(lights, cluster + CLUSTER_STEPS);
   const whole own = min(TO_WHOLE((u - *first) / *width * steps), TO_WHOLE(steps) - 1);
-  const whole record = LIGHT_FLOATS * TO_WHOLE(gather(lights, TO_WHOLE(gather(lights, cluster + CLUSTER_TABLE)) + own));
+  const whole table = LIGHT_FRAME + FRAME_FLOATS + TO_WHOLE(gather(lights, cluster + CLUSTER_TABLE));
+  const whole record = LIGHT_FLOATS * TO_WHOLE(gather(lights, table + own));
   *first = FMA(*width, gather(lights, record + LIGHT_PART), *first);
   *width *= gather(lights, record + LIGHT_PART + 1);
   return record;

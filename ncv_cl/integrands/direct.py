@@ -13,9 +13,10 @@ from .environment import environment_dark, environment_seen, has_environment
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
-# Lights, at most, for which lobes have a strip of the square: with more, directions that meet one would
-# take longer to test than what they gain.
-MOST_MET = 1024
+# Pieces of surfaces that emit, at most, with which lobes have a strip of the square: each direction of a
+# lobe is held against every light. With 320 that pays, with 1280 no more:
+# python bench/bench_mesh_lights.py lobes.
+MOST_MET = 512
 
 
 class DirectLight(Integrand):
@@ -53,8 +54,7 @@ class DirectLight(Integrand):
         }
 
     def point_kernel(self, scene: Scene) -> str | None:
-        # Each direction of a lobe is held against every light.
-        few = len(light_sources(scene).lights.strip) <= MOST_MET
+        few = len(light_sources(scene).lights.strip) - len(scene.lights) <= MOST_MET
         return "find_lobe_shares" if few and scattering_defines(scene)["HAS_SPECULAR"] else None
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:

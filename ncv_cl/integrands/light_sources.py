@@ -20,9 +20,10 @@ from ..scene.model import Light, QuadLight
 
 # The shapes of lights, as light_shapes.cl knows them.
 PARALLELOGRAM, TRIANGLE, DISC, BALL = range(4)
-# Strips that surfaces which emit may have, beside those of lights: a power of two.
+# Strips that surfaces which emit may have, beside those of lights: a power of two. With fewer, variance
+# is larger; with more, lights take longer to deal out: python bench/bench_mesh_lights.py strips.
 MOST_SURFACE_STRIPS = 64
-# Of a strip of many lights so many stand for all where it is asked what they bring.
+# Of a strip of many lights so many stand for all where it is asked what they bring: by the same script.
 STAND_INS = 8
 
 

@@ -55,11 +55,13 @@ LIGHT = Record(
     multiple=16,
 )
 # Between the records and the rows of strips: the grid of cells by its lower corner, one over the extent
-# of its boxes and how many there are along each axis, and where the table of cells and what
-# environment.cl reads begin.
+# of its boxes and how many there are along each axis, and where behind the first row the table of cells
+# and what environment.cl reads begin: single precision holds that exactly, and so it does where tables
+# of clusters do.
 FRAME = Record("FRAME", {"lower": 3, "inverse": 3, "counts": 3, "table": 1, "sky": 1}, multiple=16)
 STRIP = Record("STRIP", {"first": 1, "width": 1})
-# Of a strip of several lights: in how many steps a table deals it out, and where that begins.
+# Of a strip of several lights: in how many steps a table deals it out, and where that begins behind the
+# frame.
 CLUSTER = Record("CLUSTER", {"steps": 1, "table": 1})
 # Kernel files of lights.
 LIGHT_FILES = ("light_shapes", "lights")
@@ -216,7 +218,7 @@ def _light_records(scene: Scene) -> np.ndarray:
     owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
     owner = owner.reshape(-1, steps) if count else np.zeros((len(rows.widths), steps))
     strips = rows.strips.reshape(len(rows.widths), -1)
-    table = len(records) + FRAME.size + len(clusters) + _row_floats(scene) * len(rows.widths)
+    table = _row_floats(scene) * len(rows.widths)
     after, sky = table + len(rows.table), rows.sky.copy()
     if outside:
         sky[:, SKY_ROW["map"]] = after + maps_begin(scene) + rows.maps.shape[1] * sky[:, SKY_ROW["map"]]
@@ -252,7 +254,7 @@ def light_defines(scene: Scene) -> dict[str, int]:
         "HAS_ROWS": int(has_rows(scene)),
         **environment_defines(scene, maps),
         "HAS_CLUSTERS": int(lights.has_clusters),
-        "ALL_CLUSTERS_FLOATS": len(_parts_of(lights)[1]),
+        "ALL_CLUSTERS_FLOATS": _clusters_floats(lights),
         "HAS_SHAPES": int((lights.shape != PARALLELOGRAM).any()),
         "HAS_BALLS": int(lights.has_balls),
         "HAS_BRIGHT_SURFACES": int(len(lights.strip) > len(scene.lights)),
@@ -297,6 +299,13 @@ def _row_floats(scene: Scene) -> int:
     return int(_steps(count)) + STRIP.size * count + row_numbers(scene)
 
 
+def _clusters_floats(lights: Lights) -> int:
+    """Floats of what lights.cl reads of clusters."""
+    if not lights.has_clusters:
+        return 0
+    return lights.strips * CLUSTER.size + int(_steps(np.bincount(lights.strip)).sum())
+
+
 def _parts_of(lights: Lights) -> tuple[np.ndarray, np.ndarray]:
     """Each light's part of its strip, float64 (lights, 2): where it begins and how wide it is.
 
@@ -306,7 +315,7 @@ def _parts_of(lights: Lights) -> tuple[np.ndarray, np.ndarray]:
     parts = np.tile([0.0, 1.0], (len(lights.strip), 1))
     if not lights.has_clusters:
         return parts, np.zeros(0)
-    begin = len(lights.strip) * LIGHT.size + FRAME.size + lights.strips * CLUSTER.size
+    begin = lights.strips * CLUSTER.size
     power, heads, tables = lights.power, [], []
     for strip in range(lights.strips):
         own = np.flatnonzero(lights.strip == strip)
