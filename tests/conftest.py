@@ -53,3 +53,14 @@ def one_device() -> Device:
 def scenes() -> Path:
     """The folder of the shipped scenes."""
     return SCENES
+
+
+@pytest.fixture
+def scalar():
+    """Mitsuba in its scalar variant; others' is restored."""
+    mitsuba = pytest.importorskip("mitsuba", reason="mitsuba is not installed")
+    variant = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+    yield mitsuba
+    if variant:
+        mitsuba.set_variant(variant)

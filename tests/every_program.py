@@ -62,6 +62,23 @@ MANY = GLOSSY + "".join(
     f"[[lights]]\ncorner = [{x}, 2, 3]\nedge1 = [0.5, 0, 0]\nedge2 = [0, 0, 0.5]\nradiance = 1\n"
     for x in range(8)
 )
+# A disc and a sphere, whose points are no parallelogram's.
+ROUND = (
+    GLOSSY
+    + """
+[[lights]]
+kind = "disc"
+centre = [-2, 1, 0]
+normal = [1, -1, 0]
+radius = 0.5
+radiance = 2
+[[lights]]
+kind = "sphere"
+centre = [-1, 1, 1]
+radius = 0.3
+radiance = 2
+"""
+)
 # No light, and a surface that emits; a sphere has normals of its own.
 GLOWING = (
     MATTE[: MATTE.index("[[lights]]")].replace("[[quads]]", "emission = 2\n[[quads]]")
@@ -72,6 +89,12 @@ radius = 0.5
 material = "floor"
 """
 )
+GLASS = (
+    MATTE.replace("[[quads]]", "[materials.glass]\ntransmission = 1\nroughness = 0.2\n[[quads]]", 1)
+    + '[[spheres]]\ncenter = [0, 1, 0]\nradius = 0.5\nmaterial = "glass"\n'
+)
+# Thin, and as many lights as have strips.
+PANES = GLASS.replace("roughness = 0.2", "thin = true") + GLOSSY[GLOSSY.rindex("[[lights]]") :]
 
 # An image on a matte and on a glossy floor, beside colours of vertices.
 TEXTURED = MATTE.replace("albedo = [0.2, 0.5, 0.7]", 'albedo = { file = "image.exr" }')
@@ -93,6 +116,12 @@ def render_everything(device: Device, folder: Path) -> None:
         (MANY, GlobalIllumination(3)),
         (MATTE, GlobalIllumination(2, direct=False)),
         (GLOWING, GlobalIllumination(4)),
+        (GLOWING, DirectLight()),
+        (ROUND, DirectLight()),
+        (ROUND, GlobalIllumination(3)),
+        (GLASS, DirectLight()),
+        (GLASS, GlobalIllumination(3)),
+        (PANES, GlobalIllumination(3)),
         (TEXTURED, GlobalIllumination(3)),
         (
             TEXTURED.replace("[[quads]]", "reflectance = 0.2\n[[quads]]") + COLOURED,
@@ -122,7 +151,8 @@ def render_everything(device: Device, folder: Path) -> None:
     render(scene, "ao", "ncv", density="subdivision", **options)
     for sampler, density in zip(SAMPLERS, ("subdivision", "table"), strict=True):
         render(scene, "ao", "ncv", sampler=sampler, density=density, visibility="lines", **options)
-    for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
+    disc = ROUND[: ROUND.index('[[lights]]\nkind = "sphere"')]
+    for text, density in ((MATTE, "subdivision"), (disc, "table")):
         scene.write_text(text, encoding="utf-8")
         render(scene, "direct", "ncv", density=density, visibility="lines", **options)
     # So many samples that what slices cost is looked into.

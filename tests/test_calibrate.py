@@ -57,7 +57,7 @@ def test_errors_over_predicted_deviations_have_unit_variance(points, choices, ha
         expected, again = (
             steadied(one, prior if has_prior else None) / one.samples for one in (first, second)
         )
-        found = calibrate(first, second, twice, expected, again[:, twice])
+        found = calibrate(first, second.at(twice), twice, expected, again[:, twice])
         errors = (found.mean - truth) / np.sqrt(found.variance_of_mean)
         standardised.append(np.mean(errors**2))
         # Points done twice are known better, and know it.
@@ -74,7 +74,7 @@ def test_points_without_variance_stay_without():
     variance[:, 20:] = 1.0
     estimate = Estimate(mean, variance, np.full(40, 8.0))
     twice = np.arange(0, 40, 4)
-    found = calibrate(estimate, estimate, twice, variance / 8, variance[:, twice] / 8)
+    found = calibrate(estimate, estimate.at(twice), twice, variance / 8, variance[:, twice] / 8)
     assert not found.variance_of_mean[:, :20].any() and (found.variance_of_mean < 1e-9).all()
     np.testing.assert_array_equal(found.mean, mean)
 

@@ -117,6 +117,53 @@ def test_a_textured_room_agrees(one_device, mitsuba, depth):
     assert np.mean(np.abs(turned) < 4) < 0.7
 
 
+def lamps():
+    """A floor and a wall under lights of every shape, two of them surfaces that reflect."""
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    floor = square[:, [1, 0]] @ np.array([[6.0, 0, 0], [0, 0, 6]]) - [3, 0, 3]
+    wall = square @ np.array([[6.0, 0, 0], [0, 4, 0]]) - [3, 0, 2]
+    panel = square @ np.array([[0.7, 0, 0.2], [0, 0.8, 0.3]]) + [-2, 0.6, -1.5]
+    tent = np.array([[1.2, 0.1, 0.2], [1.9, 0.1, 0.1], [1.6, 0.1, 0.8], [1.5, 0.9, 0.4]])
+    sides = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    meshes = [
+        ncv.TriangleMesh(floor, faces, "dull"),
+        ncv.TriangleMesh(wall, faces, "dull"),
+        ncv.TriangleMesh(panel, faces, "panel"),
+        ncv.TriangleMesh(tent, sides, "tent"),
+    ]
+    materials = {
+        "dull": ncv.Material((0.6, 0.5, 0.4)),
+        "panel": ncv.Material(0.3, emission=(2, 1, 0.5)),
+        "tent": ncv.Material(0.5, emission=(0.5, 1, 2)),
+    }
+    lights = [
+        ncv.DiscLight((0.5, 2.5, -0.5), (0.2, -1, 0.1), 0.4, 4),
+        ncv.SphereLight((-0.7, 1.2, 0.4), 0.3, 3),
+        ncv.SpotLight((-0.5, 2.2, 1), 4, direction=(0.7, -1, -0.4), outer_angle=35),
+        ncv.PointLight((2.2, 2, 1), 1.5),
+    ]
+    return ncv.build_scene(ncv.Camera((0.5, 2, 6), (0, 1, 0), 50), materials, meshes, lights)
+
+
+@pytest.mark.parametrize("depth", [2, 4])
+def test_lights_of_every_shape_agree(one_device, mitsuba, depth):
+    scene = lamps()
+    theirs = MitsubaScene(mitsuba, scene)
+    size, spp = (24, 18), 64
+    path = {"type": "path", "max_depth": depth, "rr_depth": 1000}
+    other = np.stack([theirs.radiance(path, size, 1, spp, s) for s in range(6)])
+    options = {"method": "mc", "size": size, "device": one_device}
+    integrand = ncv.GlobalIllumination(depth)
+    ours = np.stack(
+        [ncv.render(scene, integrand, spp=spp, seed=s, **options).pixels for s in range(6)]
+    ).astype(np.float64)
+    check(compare_mitsuba.compare(ours, other, spp))
+    variance = (ours.var(0, ddof=1) + other.var(0, ddof=1)) / 6
+    z = (ours.mean(0) - other.mean(0)) / np.sqrt(variance + 1e-12)
+    assert np.mean(np.abs(z) < 4) > 0.97
+
+
 def test_a_difference_of_means_is_seen():
     generator = np.random.default_rng(0)
     images = 1 + 0.01 * generator.normal(size=(2, 8, 6, 5, 3))

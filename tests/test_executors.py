@@ -40,11 +40,11 @@ def processes():
     os.environ["PYTHONPATH"] = before
 
 
-@pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("threads", [1, 2, 4])
+FEWER_THREADS = [("direct, network", 1), ("direct, network", 2), ("gi", 1), ("gi", 2)]
+
+
+@pytest.mark.parametrize(("case", "threads"), [*((case, 4) for case in CASES), *FEWER_THREADS])
 def test_threads_make_the_bits_of_no_executor(case, threads):
-    if threads < 4 and case not in ("direct, network", "gi"):
-        pytest.skip("few cases are enough for fewer threads")
     with ThreadPoolExecutor(threads) as executor:
         image = picture(case, executor=executor)
     assert_same_bits(alone(case), image)

@@ -50,7 +50,7 @@ def test_a_furnace_is_a_geometric_series(device, depth):
     expected = EMISSION * (1 - ALBEDO**depth) / (1 - ALBEDO)
     z = (image.pixels - expected) / np.sqrt(image.variance)
     assert np.abs(z).max() < 4.5 and np.mean(z**2) < 1 + 5 * np.sqrt(2 / 20)
-    assert np.sqrt(image.variance.mean()) < 0.01
+    assert np.sqrt(image.variance.mean()) < 0.02
 
 
 @pytest.mark.parametrize("depth, sampler", [(5, "sobol"), (None, "independent"), (None, "sobol")])

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 import ncv_cl as ncv
-from ncv_cl.learning import growth
+from ncv_cl.learning import learn, tuning
 from ncv_cl.learning.growth import batch_growth, grown
 from ncv_cl.opencl.device import open_device
 from ncv_cl.settings.schedule import Schedule
@@ -18,22 +18,23 @@ def pretended(units, lanes=32):
 
 
 @pytest.mark.parametrize(
-    ("units", "points", "expected"),
+    ("units", "points", "epochs", "expected"),
     [
-        # 128 samples a unit: an H100 wants 16,896 of them, a small GPU 3,584.
-        (132, 1 << 20, 16),
-        (28, 1 << 20, 4),
-        (2, 1 << 20, 1),
-        (1000, 1 << 20, 16),
-        # No more than there are points.
-        (132, 300, 4),
-        (132, 100, 1),
+        # 128 samples a unit: an H100 wants 16,896 of them, a small GPU 2,560.
+        (132, 1 << 20, 1, 8),
+        (20, 1 << 20, 1, 4),
+        (2, 1 << 20, 1, 1),
+        # No more than there are points, and no sample is used too often.
+        (132, 300, 1, 4),
+        (132, 100, 1, 1),
+        (132, 1 << 20, 2, 4),
+        (132, 1 << 20, 5, 1),
     ],
 )
-def test_minibatches_grow_until_a_step_fills_the_device(units, points, expected):
-    schedule = Schedule(batch=64, samples_a_step=16)
-    assert batch_growth(pretended(units), schedule, points) == expected
-    assert batch_growth(pretended(units, lanes=1), schedule, points) == 1
+def test_minibatches_grow_until_a_step_fills_the_device(units, points, epochs, expected):
+    schedule = Schedule(batch=64, samples_a_step=16, epochs=epochs)
+    assert batch_growth(pretended(units), schedule, 8, points) == expected
+    assert batch_growth(pretended(units, lanes=1), schedule, 8, points) == 1
 
 
 def test_a_grown_schedule_takes_as_many_steps():
@@ -45,14 +46,19 @@ def test_a_grown_schedule_takes_as_many_steps():
 
 def test_larger_minibatches_leave_no_more_of_the_residual(one_device, scenes, monkeypatch):
     device = open_device(one_device.cl_device, one_device.index, 1, 32)
+    # Two rounds.
+    monkeypatch.setattr(tuning, "FIRST_ROUND", 1 << 15)
     left = []
     for units in (1, 64):
         monkeypatch.setattr(
-            growth, "batch_growth", lambda _, *about, units=units: batch_growth(pretended(units), *about)
+            learn, "batch_growth", lambda _, *about, units=units: batch_growth(pretended(units), *about)
         )
-        monkeypatch.setattr("ncv_cl.learning.learn.batch_growth", growth.batch_growth)
         image = ncv.render(
-            scenes / "cornell_box.toml", "direct", "ncv", device=device, size=(40, 40), spp=128, seed=3
-        )
-        left.append(image.stats["training"]["held_out"][-1])
-    assert 0 < left[1] <= 1.03 * left[0] < 1
+            scenes / "cornell_box.toml", "direct", "ncv",
+            device=device, size=(56, 56), spp=96, seed=3, train_spp="auto",
+        )  # fmt: skip
+        left.append(image.stats["training"])
+    base, large = left
+    assert large["epochs"] == 4 * base["epochs"] and len(base["held_out"]) == len(large["held_out"]) == 2
+    for plain, found in zip(base["held_out"], large["held_out"], strict=True):
+        assert 0 < found <= 1.03 * plain < 1

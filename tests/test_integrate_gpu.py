@@ -1,4 +1,4 @@
-"""Exact integration in the shapes of GPUs: a work-item a point or a group, and kernels that are cut short."""
+"""Exact integration on GPUs: a work-item a point or a group, and kernels that are cut short."""
 
 from __future__ import annotations
 
@@ -15,21 +15,17 @@ from ncv_cl.opencl import program
 from ncv_cl.opencl.device import CutShortError, open_device
 from ncv_cl.opencl.program import build
 
-LANES = (32, 64)
-
 
 def gpu_shape(device, lanes):
     return open_device(device.cl_device, device.index, 1, lanes)
 
 
-@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
-    ("widths", "method", "precision"),
+    ("widths", "method", "precision", "lanes"),
     [
-        ((2, 8, 8, 3), "decoupled", "float32"),
-        ((2, 5, 6, 2), "full", "float32"),
-        ((2, 4, 4, 4, 2), "decoupled", "float64"),
-        ((2, 6, 1), "decoupled", "float32"),
+        ((2, 8, 8, 3), "decoupled", "float32", 32),
+        ((2, 5, 6, 2), "full", "float32", 64),
+        ((2, 4, 4, 4, 2), "decoupled", "float64", 64),
     ],
 )
 def test_a_work_item_a_point_gives_the_bits_of_a_group(
@@ -94,8 +90,8 @@ def cut_loops_short(monkeypatch, turns, loop, limited):
     monkeypatch.setattr(Integrator, "_constants", with_limit)
 
 
-# The first leaves points out. With one point a team the second leaves out nothing but the turn in which the
-# team finds that there is none left: the point in hand may have been what was cut short.
+# The first leaves points out. The second, of one point, leaves out the turn only in which the team finds
+# that there is none left: the point in hand may have been what was cut short.
 @pytest.mark.parametrize(
     ("turns", "points", "said"),
     [(1, 500, r"integrated \d+ of 500 points"), (1, 1, "integrated 1 of 1 points, and 0 of 1 ")],
@@ -107,20 +103,18 @@ def test_a_kernel_that_is_cut_short_is_an_error(
     loop = "for (;;) {\n    BARRIER();\n    if (lane == 0) work->first_point"
     limited = loop.replace("for (;;)", "for (int turn = 0; turn < MOST_TURNS; ++turn)")
     device = open_device(one_device.cl_device, one_device.index, vector_width, lanes)
-    widths = (2, 20, 3, 1)
+    widths = (2, 20, 1)
     network = random_network(widths, points, seed=4)
-    whole, _ = run(device, network, widths)
-    assert np.isfinite(whole).all()
     cut_loops_short(monkeypatch, turns, loop, limited)
     with pytest.raises(CutShortError, match=said):
         run(device, network, widths)
 
 
-def test_work_items_that_are_cut_short_are_an_error(one_device, monkeypatch):
+def test_a_work_item_that_is_cut_short_is_an_error(one_device, monkeypatch):
     loop = "for (;;) {\n    BARRIER();\n    if (lane == 0) work->first_point"
     cut_loops_short(
         monkeypatch, 1, loop, loop.replace("(;;)", "(int turn = 0; turn < MOST_TURNS; ++turn)")
     )
-    widths = (2, 4, 3, 1)
+    widths = (2, 4, 1)
     with pytest.raises(CutShortError, match="its runtime cut the kernel short"):
         run(gpu_shape(one_device, 32), random_network(widths, 500, seed=4), widths)

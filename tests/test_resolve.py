@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from reference import camera_at, light_at, mesh_scene, quad
 
+import ncv_cl as ncv
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.opencl.memory import HostArray
-from ncv_cl.output.resolve import PixelGrid, combine, estimate_of, resolve_image
+from ncv_cl.output.pixel_grid import PixelGrid
+from ncv_cl.output.resolve import combine, estimate_of, resolve_image
 from ncv_cl.points.points import SURFACE, ShadingPoints
 from ncv_cl.sampling.accumulate import Estimate
+from ncv_cl.settings.filters import RADIUS, error_factor, weights
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
 
@@ -177,3 +180,76 @@ def test_a_picture_of_nothing_is_black(scene, one_device):
     image = resolve_image(scene, asked(DirectLight()), points, plain)
     for plane in (image.pixels, image.variance, *image.layers.values()):
         assert not plane.any()
+
+
+# ------------------------------------------------------------------------------------------- filters
+
+
+def dense_weights(name, side, pixels):
+    """The filter's matrix (pixels, sub-pixels) along an axis, each row of sum 1."""
+    middles = (np.arange(pixels * side) + 0.5) / side - 0.5
+    x = (middles - np.arange(pixels)[:, None]) / RADIUS[name]
+    terms = (0.35875, 0.48829, 0.14128, 0.01168)
+    shapes = {
+        "box": np.abs(x) < 1,
+        "tent": 1 - np.abs(x),
+        "blackman-harris": sum(a * np.cos(k * np.pi * x) for k, a in enumerate(terms)),
+    }
+    rows = np.where(np.abs(x) < 1, shapes[name], 0.0)
+    return rows / rows.sum(1, keepdims=True)
+
+
+@pytest.mark.parametrize("name", RADIUS)
+@pytest.mark.parametrize("side", [2, 3, 4])
+def test_pixels_are_weighted_means_of_the_sub_pixels_about_them(name, side):
+    width, height = 7, 5
+    cells = np.random.default_rng(4).permutation(width * height * side**2)[:-9].astype(np.uint32)
+    points = ShadingPoints(None, cells, np.full(len(cells), -1), len(cells), background=9)
+    grid = PixelGrid(points, (width, height), side, name)
+    values = np.random.default_rng(5).random((2, len(cells)))
+    plane = np.zeros((2, height * side * width * side))
+    plane[:, cells] = values
+    plane = plane.reshape(2, height * side, width * side)
+    rows, columns = (dense_weights(name, side, n) for n in (height, width))
+    everything = slice(0, len(cells))
+    expected = np.einsum("ri,nij,cj->rcn", rows, plane, columns)
+    np.testing.assert_allclose(grid.average(values, everything), expected, rtol=1e-12)
+    squares = np.einsum("ri,nij,cj->rcn", rows**2, plane, columns**2)
+    found = np.stack([grid.variance_of_mean(row, everything) for row in values], axis=-1)
+    np.testing.assert_allclose(found, squares, rtol=1e-12)
+    # What pixels of equal sub-pixels err by, far from the picture's sides.
+    inner = np.sum(rows[2] ** 2) * np.sum(columns[3] ** 2)
+    assert error_factor(name, side) == pytest.approx(inner)
+
+
+def test_the_series_of_blackman_and_harris_is_a_bump():
+    found = weights("blackman-harris", 8)
+    assert len(found) == 24 and found.sum() == pytest.approx(1) and (found > 0).all()
+    assert (np.diff(found[:12]) > 0).all() and np.allclose(found, found[::-1])
+    assert weights("tent", 2) == pytest.approx([0.125, 0.375, 0.375, 0.125])
+    assert weights("box", 3) == pytest.approx([1 / 3] * 3)
+
+
+@pytest.mark.parametrize("name", ["tent", "blackman-harris"])
+def test_a_filtered_picture_keeps_its_light_and_tells_its_error(one_device, scenes, name):
+    options = {
+        "method": "mc", "sampler": "independent", "spp": 8, "size": (24, 18), "supersample": 2,
+        "visibility": "points", "device": one_device,
+    }  # fmt: skip
+    path = scenes / "cornell_box.toml"
+    boxed = ncv.render(path, "direct", **options)
+    first, second = (ncv.render(path, "direct", seed=s, filter=name, **options) for s in (1, 2))
+    assert first.pixels.mean() == pytest.approx(boxed.pixels.mean(), rel=0.02)
+    # Some 400 pixels, whose neighbours err together: a ratio of 1 to about a tenth.
+    ratio = np.mean((first.pixels - second.pixels) ** 2) / np.mean(first.variance + second.variance)
+    assert ratio == pytest.approx(1, abs=0.3)
+    # Of which the pass's own estimate of the error is the mean.
+    assert first.stats["estimated_mse"] == pytest.approx(first.variance.mean(), rel=0.05)
+    assert first.metadata["filter"] == name
+
+
+def test_a_filter_wants_several_points_a_pixel():
+    with pytest.raises(ValueError, match=r"filter 'tent' would not smooth.*supersample 2"):
+        Sampling(filter="tent")
+    with pytest.raises(ValueError, match="filter must be one of"):
+        Sampling(filter="gauss", supersample=2)

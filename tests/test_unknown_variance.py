@@ -125,7 +125,7 @@ def test_calibration_leaves_out_what_is_not_known():
     first.mean[...], second.mean[...] = generator.normal(0, 0.25, (2, 1, 400))
     twice = np.arange(0, 400, 2)
     expected = steadied(first, np.ones(400)) / samples
-    found = calibrate(first, second, twice, expected, expected[:, twice]).variance_of_mean
+    found = calibrate(first, second.at(twice), twice, expected, expected[:, twice]).variance_of_mean
     assert np.array_equal(np.isnan(found[0]), samples < 2)
     alone = np.setdiff1d(np.flatnonzero(samples > 1), twice)
     assert found[0, alone] == pytest.approx(0.0625, rel=0.2)
@@ -135,7 +135,7 @@ def test_two_estimates_that_differ_have_a_variance_though_their_samples_do_not()
     first, second = (estimate([4.0] * 8, 0.0, mean) for mean in (1.0, 3.0))
     twice = np.array([1, 5])
     nothing = np.zeros((1, 8))
-    found = calibrate(first, second, twice, nothing, nothing[:, twice])
+    found = calibrate(first, second.at(twice), twice, nothing, nothing[:, twice])
     np.testing.assert_allclose(
         found.variance_of_mean, np.where(np.isin(np.arange(8), twice), 1.0, 2.0)[None]
     )

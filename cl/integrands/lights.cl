@@ -178,14 +178,26 @@ INLINED real ball_offset(global const float *restrict lights, const whole record
   return FMA((real)(2.0f * RELATIVE_OFFSET), coordinates, light_number(lights, record, LIGHT_OFFSET));
 }
 
-/* What a ball sends along a unit direction towards it, over its radiance: less outside a spot's inner angle. */
-INLINED real beam_share(global const float *restrict lights, const whole record, const triple towards) {
+/* What a ball, `centre` from a position, sends there, over its radiance: less outside a spot's inner angle. */
+INLINED real beam_share(global const float *restrict lights, const whole record, const triple centre) {
+  const real inverse = rsqrt(max(dot_triple(centre, centre), (real)1e-30f));
+  const triple towards = {centre.x * inverse, centre.y * inverse, centre.z * inverse};
   const triple axis = light_triple(lights, record, LIGHT_ALONG);
   const triple beside = {axis.y * towards.z - axis.z * towards.y, axis.z * towards.x - axis.x * towards.z,
                          axis.x * towards.y - axis.y * towards.x};
   const real sine = max(sqrt(dot_triple(beside, beside)), (real)1e-20f);
   const real left = light_number(lights, record, LIGHT_ACROSS) - half_turn_angle(sine, -dot_triple(axis, towards));
   return clamp(left * light_number(lights, record, LIGHT_ACROSS + 1), (real)0.0f, (real)1.0f);
+}
+#endif
+
+#if HAS_BRIGHT_SURFACES
+/* Whether rays begin on the side of a light's plane that their position is on: not where this lies in the plane, which
+ * rounding takes to either side, as on the light itself. */
+INLINED whole is_before(const triple begin, const triple normal, const triple position, const triple origin) {
+  const triple moved = {origin.x - position.x, origin.y - position.y, origin.z - position.z};
+  const real height = dot_triple(begin, normal);
+  return height * (height - dot_triple(moved, normal)) > 0.0f;
 }
 #endif
 
@@ -256,6 +268,9 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
   const real stands_for = SELECT(by_area, solid_angle, large);
   LightSample found;
   found.lit = facing > 0.0f;
+#if HAS_BRIGHT_SURFACES
+  found.lit = found.lit && is_before(begin, normal, position, origin);
+#endif
   found.towards = (triple){to.x * inverse, to.y * inverse, to.z * inverse};
   for (int channel = 0; channel < 3; ++channel)
     found.radiance[channel] = stands_for * (light_number(lights, record, LIGHT_RADIANCE + channel) / width);
@@ -275,7 +290,7 @@ INLINED LightSample sample_lights(global const float *restrict lights, const who
     whole outside;
     const triple towards = sample_ball(begin, light_number(lights, record, LIGHT_LENGTH),
                                        light_number(lights, record, LIGHT_WIDTH), chosen, v, &cone, &distance, &outside);
-    const real sent = beam_share(lights, record, towards);
+    const real sent = beam_share(lights, record, begin);
     const real reach = max(distance - ball_offset(lights, record, position), 0.5f * distance);
     for (int channel = 0; channel < 3; ++channel) {
       const real radiance = sent * cone * (light_number(lights, record, LIGHT_RADIANCE + channel) / width);

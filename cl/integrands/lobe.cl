@@ -196,6 +196,12 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
     const real part = line_part((real)shape, clamp(x / record[LIGHT_WIDTH], (real)0.0f, (real)1.0f), &start);
     const real high = record[LIGHT_LENGTH] * (start + part);
     whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= record[LIGHT_LENGTH] * start) && (y <= high);
+#else
+    whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= 0.0f) && (y <= record[LIGHT_LENGTH]);
+#endif
+#if HAS_BRIGHT_SURFACES
+    inside = inside && is_before(begin, normal, position, origin);
+#endif
 #if HAS_BALLS
     real entered;
     const whole meets = meet_ball(begin, direction, record[LIGHT_LENGTH], &entered);
@@ -203,9 +209,6 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
       inside = meets;
       t = entered;
     }
-#endif
-#else
-    const whole inside = (x >= 0.0f) && (x <= record[LIGHT_WIDTH]) && (y >= 0.0f) && (y <= record[LIGHT_LENGTH]);
 #endif
     const whole here = (t > 0.0f) && (t < nearest) && inside;
     nearest = SELECT(nearest, t, here);
@@ -242,7 +245,7 @@ LightSample lights_met(global const float *restrict lights, const whole strips, 
                       FMA(reach, direction.z, position.z - origin.z)};
   sample.segment = select_triple(sample.segment, end, ball);
   sample.lit = SELECT(sample.lit, (found >= 0) && meets, ball);
-  const real sent = SELECT((real)1.0f, beam_share(lights, record, direction), ball);
+  const real sent = SELECT((real)1.0f, beam_share(lights, record, centre), ball);
   for (int channel = 0; channel < CHANNELS; ++channel) sample.radiance[channel] *= sent;
 #endif
   return sample;

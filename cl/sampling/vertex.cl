@@ -118,7 +118,9 @@ triple light_met(global const float *restrict lights, const whole strips, const 
   const whole record = max(light, (whole)0) * LIGHT_FLOATS;
   real weight = light_weight(lights, strips, record, origin, direction, distance, density);
 #if HAS_BALLS
-  weight *= SELECT((real)1.0f, beam_share(lights, record, direction),
+  const triple centre = light_triple(lights, record, LIGHT_CORNER);
+  const triple begin = {centre.x - origin.x, centre.y - origin.y, centre.z - origin.z};
+  weight *= SELECT((real)1.0f, beam_share(lights, record, begin),
                    light_number(lights, record, LIGHT_SHAPE) == (float)SHAPE_BALL);
 #endif
   const triple amount = light_triple(lights, record, LIGHT_RADIANCE);

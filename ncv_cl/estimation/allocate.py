@@ -42,7 +42,7 @@ class Allocation:
     @classmethod
     def uniform(cls, chosen: np.ndarray, count: int) -> Allocation:
         """The same number for every chosen point, in the order given."""
-        return cls(chosen, np.full(len(chosen), count, np.int64))
+        return cls(chosen, np.broadcast_to(np.int64(count), len(chosen)))
 
     @classmethod
     def of_counts(cls, counts: np.ndarray) -> Allocation:

@@ -10,6 +10,8 @@ from ..points.sampler import HostStream, host_generator
 from ..sampling.accumulate import Estimate
 from . import tuning
 
+# Points that are worked at together, where more would only take memory.
+POINTS_AT_ONCE = 1 << 20
 # Stands for a ratio of zero, which has no logarithm.
 LEAST_RATIO = 1e-9
 
@@ -30,22 +32,39 @@ def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) ->
     NaN.
     """
     known = ~np.isnan(values)
+    total = _box_sums(np.where(known, values, 0.0), cell, columns, rows)
+    count = _box_sums(known, cell, columns, rows)
+    np.maximum(count, 1, out=count)
+    np.divide(total, count, out=total)
+    return np.maximum(total, 0.0, out=total)
+
+
+def _box_sums(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Sum of `values` (points,) over each point's box, float64, in little memory."""
     radius = tuning.LOCAL_RADIUS
-    planes = np.zeros((2, rows + 2 * radius + 1, columns + 2 * radius + 1))
-    row, column = cell // columns, cell % columns
-    planes[0, row + radius + 1, column + radius + 1] = np.where(known, values, 0.0)
-    planes[1, row + radius + 1, column + radius + 1] = known
+    width, stride = 2 * radius + 1, columns + 2 * radius + 1
+    sums = np.zeros((rows + width, stride))
+    found = np.empty(len(cell))
+    parts = [slice(first, first + POINTS_AT_ONCE) for first in range(0, len(cell), POINTS_AT_ONCE)]
+
+    def corner(part: slice, down: int, right: int) -> np.ndarray:
+        own = cell[part].astype(np.int64)
+        return (own // columns + down) * stride + own % columns + right
+
+    flat = sums.reshape(-1)
+    for part in parts:
+        flat[corner(part, radius + 1, radius + 1)] = values[part]
     # Sums over boxes as differences of sums over all that lies above and to the left.
-    sums = planes.cumsum(axis=1).cumsum(axis=2)
-    width = 2 * radius + 1
-    boxes = (
-        sums[:, width:, width:]
-        - sums[:, :-width, width:]
-        - sums[:, width:, :-width]
-        + sums[:, :-width, :-width]
-    )
-    total, count = boxes[:, row, column]
-    return np.maximum(total / np.maximum(count, 1), 0.0)
+    np.cumsum(sums, axis=0, out=sums)
+    np.cumsum(sums, axis=1, out=sums)
+    for part in parts:
+        found[part] = (
+            flat[corner(part, width, width)]
+            - flat[corner(part, 0, width)]
+            - flat[corner(part, width, 0)]
+            + flat[corner(part, 0, 0)]
+        )
+    return found
 
 
 def calibrate(
@@ -63,7 +82,7 @@ def calibrate(
     first : Estimate
         Of all points.
     second : Estimate
-        Of the points `twice`, with as many samples as the first and another scramble.
+        Of the points `twice` alone, with as many samples as the first and another scramble.
     twice : ndarray
         uint32.
     expected : ndarray
@@ -72,20 +91,20 @@ def calibrate(
     repeated : ndarray
         (channels, points done twice), the same of the second estimate.
     """
-    difference = first.mean[:, twice] - second.mean[:, twice]
+    difference = first.mean[:, twice] - second.mean
     measured = 0.5 * difference**2
     # With fewer than two samples a point has no variance of its own.
     expected = np.where(first.known, expected, np.nan)
     both = 0.5 * (expected[:, twice] + repeated)
     if np.any(both > 0):
-        found = expected * _ratio_curve(both.ravel(), measured.ravel(), expected)
+        found = _scaled_by_ratio(both.ravel(), measured.ravel(), expected)
     else:
         # Even if no point's samples differ, its two estimates may.
         found = np.where(np.isnan(expected), np.nan, measured.mean())
     mean, variance, samples = first.mean.copy(), found, first.samples.copy()
-    mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean[:, twice])
+    mean[:, twice] = 0.5 * (first.mean[:, twice] + second.mean)
     variance[:, twice] *= 0.5
-    samples[twice] += second.samples[twice]
+    samples[twice] += second.samples
     return replace(first, mean=mean, samples=samples, calibrated=variance)
 
 
@@ -103,9 +122,14 @@ def halves(mean: np.ndarray, part: np.ndarray, cell: np.ndarray, columns: int, r
     cell, columns, rows
         As `local_mean` takes them.
     """
-    squares = (mean - part) ** 2
-    near = np.stack([local_mean(row, cell, columns, rows) for row in squares])
-    return tuning.OWN_SHARE * squares + (1 - tuning.OWN_SHARE) * near
+    squares = mean - part
+    np.square(squares, out=squares)
+    for row in squares:
+        near = local_mean(row, cell, columns, rows)
+        near *= 1 - tuning.OWN_SHARE
+        row *= tuning.OWN_SHARE
+        row += near
+    return squares
 
 
 def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
@@ -129,8 +153,8 @@ def steadied(estimate: Estimate, prior: np.ndarray | None) -> np.ndarray:
     return np.where(estimate.known, found, np.nan)
 
 
-def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """The ratio measured / expected as a function of expected, evaluated at `where`."""
+def _scaled_by_ratio(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """`where` times the ratio measured / expected, which is a function of expected."""
     positive = np.flatnonzero(expected > 0)
     ranked = positive[np.argsort(expected[positive], kind="stable")]
     number = np.clip(len(ranked) // tuning.VALUES_A_CLASS, 1, tuning.MOST_CLASSES)
@@ -142,5 +166,9 @@ def _ratio_curve(expected: np.ndarray, measured: np.ndarray, where: np.ndarray) 
     ratios = np.array([measured[one].sum() for one in classes]) / sums
     # Straight between logarithms, constant beyond the first and the last class.
     logarithms = np.log(np.maximum(ratios, LEAST_RATIO))
-    places = np.log(np.maximum(where, np.exp(middle[0] - 1)))
-    return np.exp(np.interp(places, middle, logarithms))
+    found = np.empty_like(where)
+    for first in range(0, where.shape[1], POINTS_AT_ONCE):
+        part = where[:, first : first + POINTS_AT_ONCE]
+        places = np.log(np.maximum(part, np.exp(middle[0] - 1)))
+        found[:, first : first + POINTS_AT_ONCE] = part * np.exp(np.interp(places, middle, logarithms))
+    return found

@@ -17,6 +17,7 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.problem import Problem
 from ..sampling.warp import TableWarp, Warp
+from ..settings.filters import error_factor
 from ..settings.settings import Settings
 from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
@@ -119,10 +120,9 @@ class ImageEstimate:
         first = self._first.result(quantity)
         if not self._points.active:
             return first
-        prior = self._prior(first)
         if self._second is None:
+            prior = self._prior(first)
             return replace(first, calibrated=steadied(first, prior) / np.maximum(first.samples, 1))
-        second = self._second.result(quantity)
         # If the last kept mean is that of all samples, the one before it is the part.
         done = self.done if self.ahead is None else self.ahead_to
         parts = self.parts[:-1] if _is_power_of_two(done) else self.parts
@@ -130,10 +130,13 @@ class ImageEstimate:
             expected = halves(first.mean, parts[-1][quantity], *self._grid)
             repeated = expected[:, self.twice]
         else:
+            prior = self._prior(first)
             expected, repeated = (
-                steadied(each, prior) / np.maximum(each.samples, 1) for each in (first, second)
+                steadied(each, prior) / np.maximum(each.samples, 1)
+                for each in (first, self._second.result(quantity))
             )
             repeated = repeated[:, self.twice]
+        second = self._second.result(quantity, self.twice)
         return calibrate(first, second, self.twice, expected, repeated)
 
     def end(self) -> tuple[Estimate, Estimate | None]:
@@ -267,7 +270,12 @@ def error_of(estimate: Estimate, settings: Settings) -> float:
     # Errors of a pixel's points are independent; one channel stands for all three.
     pixels = settings.size[0] * settings.size[1]
     variance = estimate.variance_of_mean.mean(axis=0).sum()
-    return float(variance) / (pixels * settings.sampling.supersample**4)
+    sampling = settings.sampling
+    if sampling.filter == "box":
+        return float(variance) / (pixels * sampling.supersample**4)
+    # The sum is over k * k points a pixel.
+    factor = error_factor(sampling.filter, sampling.supersample) / sampling.supersample**2
+    return float(variance) / pixels * factor
 
 
 def warp_of(device: Device, kind: str, folded: FoldedNetwork, density: Density) -> Warp | None:

@@ -13,6 +13,10 @@ from .environment import environment_dark, environment_seen, has_environment
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
+# Lights, at most, for which lobes have a strip of the square: with more, directions that meet one would
+# take longer to test than what they gain.
+MOST_MET = 1024
+
 
 class DirectLight(Integrand):
     """F(p) = ∫ f_r L_e G V dA over all lights and surfaces that emit, and ∫ f_r L V cos dω outside, RGB.
@@ -49,7 +53,9 @@ class DirectLight(Integrand):
         }
 
     def point_kernel(self, scene: Scene) -> str | None:
-        return "find_lobe_shares" if scattering_defines(scene)["HAS_SPECULAR"] else None
+        # Each direction of a lobe is held against every light.
+        few = len(light_sources(scene).lights.strip) <= MOST_MET
+        return "find_lobe_shares" if few and scattering_defines(scene)["HAS_SPECULAR"] else None
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:
         # Cosines times distances are affine on a light, so their signs at its corners decide. They are

@@ -21,4 +21,6 @@ def emitted_light(scene: Scene, integrand: Integrand, points: ShadingPoints) -> 
     if lit.size:
         found[lit] = integrand.emitted(scene, points.light[lit], points.rows("outgoing")[:, lit])
     glow = integrand.glow(scene, points.material)
+    if not glow.any():
+        return found
     return found + (glow if points.emission_factor is None else glow * points.emission_factor)

@@ -24,7 +24,8 @@ class GlobalIllumination(Integrand):
         Most edges of a path from the camera to a light, as Mitsuba's path integrator counts them: 2 is
         direct light alone, 3 adds one bounce. By default Russian roulette alone ends paths.
     direct : bool
-        Whether light that reaches the shading points directly from area lights is included.
+        Whether light that reaches the shading points directly from lights, and from surfaces that are
+        sampled as lights, is included.
     clamp : float, optional
         Upper limit of the largest channel of one path's radiance. It lowers noise, and makes the image
         too dark.

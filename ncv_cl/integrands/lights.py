@@ -255,6 +255,7 @@ def light_defines(scene: Scene) -> dict[str, int]:
         "ALL_CLUSTERS_FLOATS": len(_parts_of(lights)[1]),
         "HAS_SHAPES": int((lights.shape != PARALLELOGRAM).any()),
         "HAS_BALLS": int(lights.has_balls),
+        "HAS_BRIGHT_SURFACES": int(len(lights.strip) > len(scene.lights)),
         "SHAPE_TRIANGLE": TRIANGLE,
         "SHAPE_DISC": DISC,
         "SHAPE_BALL": BALL,

@@ -15,7 +15,7 @@ from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
 from ..network.fold import POINTS_PER_FOLD, FoldedNetwork
 from ..network.network import Network, NetworkDescription, NetworkError
-from ..opencl.device import GPU_LOCAL_BYTES, Device
+from ..opencl.device import GPU_LOCAL_BYTES, GROUP_SIZE, Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -26,9 +26,9 @@ from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step at most; fixed, so that the order of additions does not depend on the
-# device. On GPUs their work-items and columns: a work-item a sample of the default's steps.
+# device. On GPUs, a work-item a sample of the default's steps, the groups and the columns of each.
 GRADIENT_GROUPS = 16
-GPU_GROUPS, GPU_GROUP, GPU_COLUMNS = 64, 64, 4
+GPU_GROUPS, GPU_COLUMNS = 64, 4
 DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
@@ -286,7 +286,7 @@ class DensityTrainer:
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
         }
         if self._by_samples:
-            defines |= {"TILE": GPU_COLUMNS, "GROUP_ITEMS": GPU_GROUP}
+            defines |= {"TILE": GPU_COLUMNS, "GROUP_ITEMS": GROUP_SIZE}
         step = "density_lanes" if self._by_samples else "density_gradients"
         return build(self.device, ("common", "mlp", "density", step), defines)
 
@@ -349,7 +349,7 @@ class DensityTrainer:
         """Enqueue one step's gradients; returns the number of rows of partial sums."""
         samples, group, columns = self._samples, self.device.lanes, 1
         if self._by_samples:
-            group, columns = GPU_GROUP, GPU_COLUMNS
+            group, columns = GROUP_SIZE, GPU_COLUMNS
         groups = min(self._partial.shape[0], -(-count // columns))
         self._program.kernel("density_gradients")(
             groups * group,

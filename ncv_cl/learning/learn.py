@@ -158,7 +158,7 @@ class _Learning:
             self._draw(Stream.HELD_OUT, chosen, samples, accumulator, held_out.store)
         for number, current in enumerate(budget.rounds, 1):
             began = time.perf_counter()
-            schedule = grown(self._schedule(slower, current), self._growth(current))
+            schedule = self._grown(self._schedule(slower, current), current)
             losses = list(done.losses)
             trainer = self._train(schedule, current, accumulator, done.trainer, losses)
             with self.run.watch("train"):
@@ -200,14 +200,13 @@ class _Learning:
             epochs=_enough_epochs(preset, epochs, len(current.chosen), len(current.samples)),
         )
 
-    def _growth(self, current: Round) -> int:
-        """By how much minibatches grow; the slides' own schedule is kept."""
+    def _grown(self, base: Schedule, current: Round) -> Schedule:
+        """The schedule with as large minibatches as fill the device; the slides' own is kept."""
         preset = self.settings.preset
-        return (
-            batch_growth(self.problem.device, preset.schedule, len(current.chosen))
-            if preset.subset
-            else 1
-        )
+        if not preset.subset:
+            return base
+        device, most = self.problem.device, preset.schedule.epochs
+        return grown(base, batch_growth(device, base, most, len(current.chosen)))
 
     def _train(
         self,

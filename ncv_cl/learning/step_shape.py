@@ -13,13 +13,10 @@ from . import tuning
 # PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
 # first thread would get too many, were its first ones not empty.
 CPU_IDLE_GROUPS = 2
-# Rows of partial sums; fixed, so that the order of additions does not depend on the device's size. On
-# GPUs, whose largest minibatch has so many tiles.
+# Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 PARTIAL_SUMS = 64
-GPU_PARTIAL_SUMS = 128
-# Work-items of a group on a GPU at most, and bytes of its local memory: two groups find room in the 64
-# KiB that a compute unit has at least.
-GPU_GROUP = 2 * GROUP_SIZE
+# Bytes of a group's local memory on a GPU at most: two find room in the 64 KiB that a compute unit has at
+# least.
 GPU_STEP_BYTES = 2 * GPU_LOCAL_BYTES // 3
 
 
@@ -36,8 +33,6 @@ class StepShape:
         Work-items of a group.
     tile : int
         Columns that a group holds at a time.
-    most_groups : int
-        Groups of a step at most; each has a row of partial sums.
     idle_groups : int
         Groups before these that do nothing.
     """
@@ -45,7 +40,6 @@ class StepShape:
     file: str
     group: int
     tile: int
-    most_groups: int
     idle_groups: int
 
     @classmethod
@@ -82,7 +76,7 @@ class StepShape:
         while 8 * tile * column <= budget and tile < tuning.CPU_TILE:
             tile *= 2
         _check_memory(device, description, 4 * tile * column)
-        return cls("train", device.lanes, tile, PARTIAL_SUMS, CPU_IDLE_GROUPS if device.is_cpu else 0)
+        return cls("train", device.lanes, tile, CPU_IDLE_GROUPS if device.is_cpu else 0)
 
     @classmethod
     def _of_samples(
@@ -96,15 +90,14 @@ class StepShape:
             return 4 * (rows * tile + pair * (tile * samples + 1))
 
         tile = 1
-        while 2 * tile * samples <= GPU_GROUP and local_bytes(2 * tile) <= GPU_STEP_BYTES:
+        while 2 * tile * samples <= GROUP_SIZE and local_bytes(2 * tile) <= GPU_STEP_BYTES:
             tile *= 2
         _check_memory(device, description, local_bytes(tile))
-        group = min(GPU_GROUP, -(-tile * samples // GROUP_SIZE) * GROUP_SIZE)
-        return cls("train_lanes", group, tile, GPU_PARTIAL_SUMS, 0)
+        return cls("train_lanes", GROUP_SIZE, tile, 0)
 
     def groups(self, columns: int) -> int:
-        """Groups of a step over so many columns that do something."""
-        return min(self.most_groups, -(-columns // self.tile))
+        """Groups of a step over so many columns; each has a row of partial sums."""
+        return min(PARTIAL_SUMS, -(-columns // self.tile))
 
     @property
     def defines(self) -> dict[str, int | str]:

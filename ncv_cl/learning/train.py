@@ -22,7 +22,7 @@ from ..points.sampler import HostStream, host_generator
 from ..sampling.samples import Batch, ray_defines
 from ..settings.schedule import Schedule
 from . import tuning
-from .step_shape import StepShape
+from .step_shape import PARTIAL_SUMS, StepShape
 
 # A step: the first of its samples, its columns, its work-groups, and its entries of the grid's index.
 PLAN = Record(
@@ -146,7 +146,7 @@ class Trainer:
         self._adam_items = [
             blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
         ]
-        self._partial = HostArray(device, (self._shape.most_groups, self._layout.size), np.float32)
+        self._partial = HostArray(device, (PARTIAL_SUMS, self._layout.size), np.float32)
         self._partial.fill(0.0)
         self._loss = HostArray(device, 1, np.float32)
         stride, channels = self._encoder.stride, description.channels

@@ -174,8 +174,8 @@ class TriangleWarp(Warp):
             counts=self._counts,
             group=self._device.lanes,
         )
-        # The more points, the more turns a group's loop takes: what is as long as one that was checked is
-        # not waited for.
+        # The more points, the more turns a group's loop takes: what is no longer than one that was
+        # checked is not waited for.
         if count > self._checked:
             self._checked = count
             _ = self.undivided

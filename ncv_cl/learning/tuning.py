@@ -45,10 +45,9 @@ MOST_EPOCHS = 128
 CPU_TILE = 16
 CPU_LOCAL_BYTES = 256 << 10
 
-# Samples of a step for each compute unit of a GPU, a warp for each of its four schedulers; and by how
-# much minibatches grow for that at most: python bench/bench_growth.py.
+# Samples of a step for each compute unit of a GPU: a warp for each of its four schedulers. What
+# minibatches so large leave of the residual: python bench/bench_growth.py.
 GPU_STEP_ITEMS = 128
-MOST_BATCH_GROWTH = 16
 
 # A tile of the image has about so many training samples, whose points share one control coefficient a
 # channel: python bench/bench_tuning.py SAMPLES_A_TILE.

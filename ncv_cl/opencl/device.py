@@ -14,8 +14,8 @@ import pyopencl as cl
 
 from .runtimes import loaded_elsewhere, platforms
 
-# A group of this many work-items cooperates on one shading point on a GPU of which it is not known how many
-# run in step (a warp on NVIDIA).
+# A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA) that does
+# not tell how many run in step.
 GPU_LANES = 32
 # Work-items in a group of a kernel in which work-items do not cooperate: whole warps, and whole waves.
 GROUP_SIZE = 64

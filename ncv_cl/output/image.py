@@ -43,7 +43,8 @@ class Image:
         Any of "albedo" (h, w, 3), clamped to [0, 1] in files; "N" (h, w, 3), the shading normal
         in world space; "depth" (h, w), the distance from the camera in scene units; "G"
         (h, w, 3), the integrated network; "residual" (h, w, 3); "coverage" (h, w), of a map, the part
-        of each texel that is on the mesh.
+        of each texel that is on the mesh. They are float64, of more than 2^22 pixels float32, as files
+        hold them.
     stats : dict
         JSON-able statistics of the rendering; not written by `write`.
     metadata : dict of str, int or float

@@ -6,11 +6,12 @@ import numpy as np
 
 from ..integrands.emitted import emitted_light
 from ..points.background import background_directions
-from ..points.points import ShadingPoints
+from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
 from ..settings.settings import Settings
 from .image import Image
+from .pixel_grid import LARGE, PixelGrid
 
 # Below this weight the training samples' estimate is left out, since it would change nothing visible.
 SMALLEST_SHARE = 0.01
@@ -91,27 +92,6 @@ def _variance_as_seen(training: Estimate, compared: np.ndarray, error: float) ->
     return np.where(training.known, ratio * spread, error)
 
 
-class PixelGrid:
-    """The box filter from sub-pixels to pixels."""
-
-    def __init__(self, points: ShadingPoints, size: tuple[int, int], supersample: int) -> None:
-        self.width, self.height = size
-        columns = self.width * supersample
-        row, column = points.cell // columns, points.cell % columns
-        self.pixel = (row // supersample) * self.width + column // supersample
-        self.cells_a_pixel = supersample**2
-
-    def sum(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """Sum (channels, points) over each pixel's points: float64 (height, width, channels)."""
-        pixel, pixels = self.pixel[points], self.width * self.height
-        planes = [np.bincount(pixel, weights=row, minlength=pixels) for row in values]
-        return np.stack(planes, axis=-1).reshape(self.height, self.width, -1)
-
-    def average(self, values: np.ndarray, points: slice) -> np.ndarray:
-        """As `sum`, over the number of sub-pixels: what is not there counts as zero."""
-        return self.sum(values, points) / self.cells_a_pixel
-
-
 def resolve_image(
     scene: Scene,
     settings: Settings,
@@ -137,52 +117,66 @@ def resolve_image(
         Of direct light that the other estimates leave out.
     """
     integrand, samples = settings.integrand, float(settings.spp)
-    grid = PixelGrid(points, settings.size, settings.sampling.supersample)
+    sampling = settings.sampling
+    grid = PixelGrid(points, settings.size, sampling.supersample, sampling.filter)
     active, everything = slice(0, points.active), slice(0, points.total)
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
-    pixels = grid.average(mean, active) + np.zeros(3)
-    # Errors of a pixel's points are independent: variances add with the square of the weight.
-    pixel_variance = grid.average(variance, active) / grid.cells_a_pixel + np.zeros(3)
-
     emitted = emitted_light(scene, integrand, points)
-    if emitted.any():
-        pixels += grid.average(emitted.T, everything)
-    _add_background(pixels, scene, settings, points)
-
-    layers = {
-        "albedo": grid.average(points.rows("albedo"), everything),
-        "N": grid.average(points.rows("normal"), everything),
-        "depth": _depth(scene, grid, points),
-    }
+    emitted = emitted.T if emitted.any() else None
+    beyond = _background(scene, settings, points)
+    pixels, pixel_variance = (np.empty((grid.height, grid.width, 3), np.float32) for _ in range(2))
+    for channel in range(3):
+        # Of one channel all three are the same number.
+        own = channel % len(mean)
+        plane = grid.mean(mean[own], active)
+        if emitted is not None:
+            plane += grid.mean(emitted[channel], everything)
+        if beyond is not None:
+            plane += grid.mean_of_cells(beyond[1][:, channel], beyond[0])
+        pixels[..., channel] = plane
+        pixel_variance[..., channel] = grid.variance_of_mean(variance[own], active)
+    del emitted, beyond
+    with points.surface.mapped() as rows:
+        layers = {
+            "albedo": grid.average(rows[SURFACE["albedo"]], everything),
+            "N": grid.average(rows[SURFACE["normal"]], everything),
+            "depth": _depth(scene, grid, rows[SURFACE["position"]]),
+        }
     if residual is not None and integral is not None:
-        layers["G"] = grid.average(integral, active) + np.zeros(3)
-        layers["residual"] = grid.average(residual.mean, active) + np.zeros(3)
+        layers["G"] = grid.average(integral, active, 3)
+        layers["residual"] = grid.average(residual.mean, active, 3)
     if direct is not None:
-        layers["direct"] = grid.average(direct.mean, active) + np.zeros(3)
+        layers["direct"] = grid.average(direct.mean, active, 3)
     return Image(pixels, pixel_variance, layers)
 
 
-def _add_background(pixels: np.ndarray, scene: Scene, settings: Settings, points: ShadingPoints) -> None:
-    """Add what is seen beyond the scene to pixels, float64 (height, width, 3)."""
+def _background(
+    scene: Scene, settings: Settings, points: ShadingPoints
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Sub-pixels that show what is beyond the scene, and that, (n, 3); None where it is black."""
     if not points.background:
-        return
-    supersample, flat = settings.sampling.supersample, pixels.reshape(-1, 3)
-    width = settings.size[0]
-    columns = width * supersample
-    parts = background_directions(scene.camera, points, settings.size, supersample)
-    for cell, towards in parts:
+        return None
+    cells, found = [], []
+    supersample = settings.sampling.supersample
+    for cell, towards in background_directions(scene.camera, points, settings.size, supersample):
         seen = settings.integrand.background(scene, towards)
         if seen is None:
-            return
-        pixel = cell // columns // supersample * width + cell % columns // supersample
-        np.add.at(flat, pixel, seen / supersample**2)
+            return None
+        cells.append(cell)
+        found.append(seen)
+    return np.concatenate(cells), np.concatenate(found)
 
 
-def _depth(scene: Scene, grid: PixelGrid, points: ShadingPoints) -> np.ndarray:
+def _depth(scene: Scene, grid: PixelGrid, position: np.ndarray) -> np.ndarray:
     """Mean distance from the camera over a pixel's hits; 0 where nothing was hit."""
-    offset = points.rows("position") - np.asarray(scene.camera.position, np.float32)[:, None]
-    everything = slice(0, points.total)
-    distances = grid.sum(np.linalg.norm(offset, axis=0)[None], everything)
-    hits = grid.sum(np.ones((1, points.total)), everything)
-    return (distances / np.maximum(hits, 1))[..., 0]
+    camera = np.asarray(scene.camera.position, np.float32)[:, None]
+    total = position.shape[1]
+    distance = np.empty(total, np.float32)
+    for first in range(0, total, LARGE):
+        part = slice(first, first + LARGE)
+        distance[part] = np.linalg.norm(position[:, part] - camera, axis=0)
+    everything = slice(0, total)
+    found = grid.plane(distance, everything)
+    found /= np.maximum(grid.plane(None, everything), 1)
+    return found.astype(grid.layer_type, copy=False)

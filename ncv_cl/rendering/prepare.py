@@ -147,6 +147,7 @@ def assemble(
         slices=slices,
         shadows_tested=settings.sampling.visibility != "embree",
     )
+    glow = emitted_light(scene, integrand, points)[: points.active].T
     narrowest = 1.0
     if "LIGHT_COUNT" in integrand.defines(scene):
         narrowest = narrowest_strip(scene)
@@ -158,7 +159,7 @@ def assemble(
         integrand.inputs,
         integrand.demodulated,
         narrowest=narrowest,
-        glow=emitted_light(scene, integrand, points)[: points.active].T,
+        glow=glow if glow.any() else None,
         apart=apart,
         slices=choice,
         decisions=decisions,

@@ -42,6 +42,10 @@ class Estimate:
     samples: np.ndarray
     calibrated: np.ndarray | None = None
 
+    def at(self, points: np.ndarray) -> Estimate:
+        """The same of some points only; not calibrated."""
+        return Estimate(self.mean[:, points], self.variance[:, points], self.samples[points])
+
     @property
     def variance_of_mean(self) -> np.ndarray:
         """Variance of `mean`; where not calibrated, as if samples were independent (for Sobol a bound).
@@ -206,14 +210,18 @@ class Accumulator:
         state = state.reshape(self.quantities, self.channels, STATE.size, -1)
         return (state[:, :, STATE["mean"]] + state[:, :, STATE["low"]])[:, :, 0]
 
-    def result(self, quantity: int = 0) -> Estimate:
-        """Means and variances of f (`quantity` 0) or of f − g (1)."""
+    def result(self, quantity: int = 0, chosen: np.ndarray | slice = slice(None)) -> Estimate:
+        """Means and variances of f (`quantity` 0) or of f − g (1), of the `chosen` points."""
+        samples = self.samples[chosen].copy()
         rows = self.channels * STATE.size
         with self._state.mapped() as view:
             state = view[quantity * rows : (quantity + 1) * rows]
             state = state.reshape(self.channels, STATE.size, -1)
-            high, low, deviations = (state[:, STATE[n]][:, 0] for n in ("mean", "low", "deviations"))
-            mean = high.astype(np.float64) + low
-            spread = deviations / np.maximum(self.samples - 1, 1)
-        variance = np.where(self.samples > 1, spread, np.nan)
-        return Estimate(mean, variance, self.samples.copy())
+            high, low, deviations = (
+                state[:, STATE[n]][:, 0][:, chosen] for n in ("mean", "low", "deviations")
+            )
+            mean = high.astype(np.float64)
+            mean += low
+            variance = deviations / np.maximum(samples - 1, 1)
+        variance[:, samples <= 1] = np.nan
+        return Estimate(mean, variance, samples)

@@ -38,7 +38,11 @@ class Sampling:
     sampler : {"sobol", "independent"}
         Owen-scrambled Sobol points (one scramble a shading point) or independent ones.
     supersample : int
-        k makes k × k shading points a pixel, averaged by a box filter.
+        k makes k × k shading points a pixel, averaged by `filter`.
+    filter : {"box", "tent", "blackman-harris"}
+        What averages shading points to pixels: those of the pixel alike ("box"), or those about its
+        middle, weighted: up to 1 pixel away ("tent") or 1.5 ("blackman-harris"), which leaves the fewest
+        stairs at edges. These need `supersample` of 2 at least.
     allocation : {"magnitude", "relative", "pilot", "uniform"}, optional
         How `spp` is spent over the image: by each point's predicted residual ("magnitude", for ncv), by
         this over what is expected of its pixel's value ("relative", for ncv), by its variance in a
@@ -63,6 +67,7 @@ class Sampling:
 
     sampler: Literal["sobol", "independent"] = "sobol"
     supersample: int = 1
+    filter: Literal["box", "tent", "blackman-harris"] = "box"
     allocation: Literal["magnitude", "relative", "pilot", "uniform"] | None = None
     visibility: Literal["auto", "lines", "points", "embree"] = "auto"
     split_direct: Literal["auto", "on", "off"] = "auto"
@@ -72,6 +77,11 @@ class Sampling:
         check_choices(self)
         supersample = checked_whole("supersample", self.supersample, MOST_CELLS)
         object.__setattr__(self, "supersample", supersample)
+        if self.filter != "box" and supersample == 1:
+            raise ValueError(
+                f"filter {self.filter!r} would not smooth edges with one shading point a pixel: "
+                "take supersample 2 or more"
+            )
         if not isinstance(self.skip_dark, (bool, np.bool_)):
             raise ValueError(f"skip_dark must be True or False, got {self.skip_dark!r}")
 

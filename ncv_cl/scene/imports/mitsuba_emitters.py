@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from trimesh.transformations import rotation_matrix
 
 from ..meshes.common import Notes
 from .mitsuba_texture import Textures
@@ -81,6 +82,8 @@ class Emitters:
             raise ValueError(f"the image {name!r} of the environment does not exist")
         table: dict[str, Any] = {"file": file, "scale": float(emitter.values.get("scale", 1.0))}
         matrix = _matrix(emitter)[:3, :3]
+        if np.linalg.det(matrix) < 0.0:
+            self._notes.shape("environments that are mirrored, which are not", name)
         up = np.array(_unit(matrix[:, 1]))
         if not np.allclose(up, [0.0, 1.0, 0.0], atol=1e-6):
             table["up"] = up.tolist()
@@ -102,16 +105,14 @@ class Emitters:
 
 
 def rotation_about(up: np.ndarray, matrix: np.ndarray) -> float:
-    """By how many degrees, about `up`, a rotation (3, 3) turns what ``up`` alone leaves in place.
+    """By how many degrees, about `up`, a map (3, 3) goes on turning after y has been turned to `up`.
 
-    Where ``up`` is y that is the angle from z towards x; else from z's nearest axis across ``up``.
+    The first turn is the shortest; `up` is where the map has y.
     """
-    start = np.array([0.0, 0.0, 1.0])
-    if abs(up @ start) > 0.9:
-        start = np.array([0.0, -1.0, 0.0]) if up[2] > 0.0 else np.array([0.0, 1.0, 0.0])
-    start = start - (start @ up) * up
-    start /= np.linalg.norm(start)
-    forward = matrix[:, 2] / np.linalg.norm(matrix[:, 2])
+    axis = np.cross([0.0, 1.0, 0.0], up)
+    angle = math.atan2(float(np.linalg.norm(axis)), float(up[1]))
+    shortest = rotation_matrix(angle, axis if axis.any() else [1.0, 0.0, 0.0])[:3, :3]
+    start, forward = shortest[:, 2], matrix[:, 2] / np.linalg.norm(matrix[:, 2])
     return math.degrees(math.atan2(float(np.cross(start, forward) @ up), float(start @ forward)))
 
 

@@ -275,7 +275,11 @@ class Materials:
         return {"albedo": albedo, "reflectance": dielectric, "roughness": roughness}
 
     def _principledthin(self, bsdf: Plugin) -> Table:
-        return self._principled(bsdf) | {"thin": True}
+        table = self._principled(bsdf)
+        if "transmission" not in table:
+            return table
+        self._notes.look("rough panes are smooth", self._label(bsdf))
+        return table | {"thin": True, "roughness": SMALLEST_ROUGHNESS}
 
     # ---- numbers -------------------------------------------------------------------------------------
 

@@ -33,12 +33,7 @@ def mitsuba_scene(path: Path, images: ImageFiles, camera: str | None = None) -> 
         If Mitsuba is not installed.
     """
     notes = Notes()
-    root = read_xml(path, images, notes)
-    try:
-        return tables_of(root, path, images, notes, camera)
-    except (KeyError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
-        # Errors of a file that lacks a part, or has one of another type than its plugin says.
-        raise ValueError(f"cannot be read, for it is malformed: {error!r}") from error
+    return tables_of(read_xml(path, images, notes), path, images, notes, camera)
 
 
 def tables_of(

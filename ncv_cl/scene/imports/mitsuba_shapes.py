@@ -113,8 +113,7 @@ class Shapes:
         corner = matrix[:3] @ [-1.0, -1.0, 0.0, 1.0]
         edges = [2.0 * matrix[:3, 0], 2.0 * matrix[:3, 1]]
         if emission is not None:
-            # It emits towards the edges' cross product, as Mitsuba's does.
-            edges = edges[::-1] if shape.values.get("flip_normals", False) else edges
+            edges = edges[::-1] if _is_turned(shape, matrix) else edges
             self._light(_quad(corner, *edges) | {"radiance": list(emission)}, bsdf)
             return
         material = self._materials.name_of(bsdf, True)
@@ -158,7 +157,7 @@ class Shapes:
         scale = _similarity(matrix)
         if emission is not None and scale is not None:
             normal = np.cross(matrix[:3, 0], matrix[:3, 1])
-            normal = normal if not shape.values.get("flip_normals", False) else -normal
+            normal = -normal if _is_turned(shape, matrix) else normal
             light = {"kind": "disc", "centre": matrix[:3, 3].tolist(), "radius": scale}
             light |= {"normal": (normal / np.linalg.norm(normal)).tolist()}
             self._light(light | {"radiance": list(emission)}, bsdf)
@@ -186,9 +185,7 @@ class Shapes:
             return
         if not (np.isfinite(axis).all() and axis.any()):
             raise ValueError("a cylinder has no length")
-        one = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-        one /= np.linalg.norm(one)
-        two = np.cross(axis, one) / np.linalg.norm(axis)
+        one, two = _across(axis / np.linalg.norm(axis))
         angle, circle = _circle()
         outwards = circle @ np.stack([one, two])
         vertices = np.concatenate([start + radius * outwards, end + radius * outwards])
@@ -249,6 +246,21 @@ class Shapes:
 _BLACK_BSDF = Plugin(
     "bsdf", "twosided", "black", children=[Plugin("bsdf", "diffuse", "", {"reflectance": 0.0})]
 )
+
+
+def _is_turned(shape: Plugin, matrix: np.ndarray) -> bool:
+    """Whether Mitsuba's normal, that of +z, is against the cross product of the images of x and y."""
+    mirrored = bool(np.linalg.det(matrix[:3, :3]) < 0.0)
+    return mirrored != bool(shape.values.get("flip_normals", False))
+
+
+def _across(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across a third, as Mitsuba chooses them (Duff et al. 2017)."""
+    x, y, z = normal
+    sign = math.copysign(1.0, z)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return np.array([1.0 + sign * x * x * a, sign * b, -sign * x]), np.array([b, sign + y * y * a, -y])
 
 
 def _circle() -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,8 @@ else:
 
 # Suffixes of the scene files that are read. Others are taken for TOML.
 KINDS = (".toml", *MESH_KINDS, ".xml")
+# Of a file that lacks a part, has one of another type than its format says, or is nested too deeply.
+_MALFORMED = (KeyError, TypeError, AttributeError, IndexError, ArithmeticError, RecursionError)
 
 
 def read_tables(path: Path, images: ImageFiles, camera: str | None = None) -> Found:
@@ -46,6 +48,8 @@ def read_tables(path: Path, images: ImageFiles, camera: str | None = None) -> Fo
             return mitsuba_scene(path, images, camera)
     except (ValueError, ImportError) as error:
         raise SceneError(f"{path}: {error}") from error
+    except _MALFORMED as error:
+        raise SceneError(f"{path}: cannot be read, for it is malformed: {error!r}") from error
     if camera is not None:
         raise SceneError(f"{path}: a TOML file has one camera, and none is chosen by name ({camera!r})")
     return Found(_read_toml(path))

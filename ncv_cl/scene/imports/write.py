@@ -56,7 +56,9 @@ def write_scene(
             write_whole(path, lambda file, mesh=mesh: file.write(ply_bytes(**mesh)))
             entry["file"] = path.name
             written.append(path)
-    copies = _copies(source.parent, read - {source.resolve()}, target.parent)
+    # What Mitsuba's files say is in the tables.
+    copied = {file for file in read if file.suffix.lower() != ".xml"}
+    copies = _copies(source.parent, copied, target.parent)
     _name_what_stays(tables, source.parent)
     for file, copy in copies.items():
         _copy(file, copy)

@@ -79,9 +79,10 @@ def _spot(table: Table, assembly: Assembly) -> Light:
     position, intensity = table.vector("position"), table.colour("intensity")
     if ("direction" in table) == ("target" in table):
         raise table.error("direction", "give either direction or target")
-    direction = _axis(table, "direction") if "direction" in table else table.vector("target") - position
+    direction = table.vector("direction") if "direction" in table else table.vector("target") - position
     if not np.any(direction):
-        raise table.error("target", "is the light's position")
+        key = "direction" if "direction" in table else "target"
+        raise table.error(key, "leaves the axis of the beam without a direction")
     outer = table.number("outer_angle")
     if not 0.0 < outer <= 180.0:
         raise table.error(

@@ -18,6 +18,8 @@ from .files import find_file
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+# Zeros that a few bytes announce, of an accessor that has only sparse values.
+_MOST_ZEROS = 1 << 22
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
@@ -89,11 +91,14 @@ class Container:
         if width is None or kind is None:
             raise ValueError(f"{what} has an unknown type or componentType")
         count = accessor["count"]
-        values = np.zeros((count, width), dtype=kind)
         if "bufferView" in accessor:
             values = self._block(accessor, count, width, kind, what)
         elif "sparse" not in accessor:
             raise ValueError(f"{what} has no data: it may be compressed by an extension")
+        elif count > _MOST_ZEROS:
+            raise ValueError(f"{what} has {count} elements without data; {_MOST_ZEROS} are read")
+        else:
+            values = np.zeros((count, width), dtype=kind)
         if "sparse" in accessor:
             values = self._substituted(values, accessor["sparse"], width, kind, what)
         return _decoded(values, bool(accessor.get("normalized"))) if decode else values

@@ -104,6 +104,8 @@ class Nodes:
         if extension is None:
             return [self.world(index)]
         found = {key: self._container.array(i) for key, i in extension["attributes"].items()}
+        if not found:
+            raise ValueError(f"nodes[{index}]: its instances have no attributes")
         count = len(next(iter(found.values())))
         matrices = trs_matrices(
             found.get("TRANSLATION", np.zeros((count, 3))),

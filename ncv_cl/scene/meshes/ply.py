@@ -67,6 +67,7 @@ def _read(path: Path) -> PlyData:
     with path.open("rb") as file:
         start = file.read(_LONGEST_HEADER)
     header = start[: start.find(b"end_header")]
+    _check_counts(header, path.stat().st_size)
     source: str | io.BytesIO = str(path)
     attempts: tuple[int | None, ...] = (3, 4, None)
     if re.search(rb"^\s*format\s+ascii", header, re.MULTILINE):
@@ -83,6 +84,14 @@ def _read(path: Path) -> PlyData:
             if count is None:
                 raise ValueError(f"cannot be read: {error}") from error
     raise AssertionError("the last attempt returns or raises")
+
+
+def _check_counts(header: bytes, size: int) -> None:
+    """Raise `ValueError` if the header announces more entries than the file has bytes."""
+    for name, count in re.findall(rb"^\s*element\s+(\S+)\s+(\S+)", header, re.MULTILINE):
+        if count.isdigit() and int(count[:20]) > size:
+            text = name.decode("latin-1")
+            raise ValueError(f"was cut off: it announces {int(count[:20])} of element {text}")
 
 
 def _plain(data: bytes) -> bytes:

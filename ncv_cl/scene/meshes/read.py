@@ -32,6 +32,8 @@ _READERS: dict[str, Callable[[Path, Notes, Asked], list[FileGeometry]]] = {
     ".gltf": read_gltf,
     ".glb": read_gltf,
 }
+# Instances multiply what a small file holds; so many fill some gigabytes.
+MOST_TRIANGLES = 1 << 26
 # Suffixes of the files that are read.
 KINDS = tuple(_READERS)
 # What is said of materials that emit.
@@ -111,6 +113,8 @@ def read_meshes(
         raise ValueError(f"cannot be read: {error.strerror or error}") from error
     except MemoryError as error:
         raise ValueError("cannot be read: it announces more than fits in memory") from error
+    except RecursionError as error:
+        raise ValueError("cannot be read: it is nested too deeply") from error
     except (KeyError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
         # Errors of a file that lacks a part, or has one of another type than its format says.
         raise ValueError(f"cannot be read, for it is malformed: {error!r}") from error
@@ -118,6 +122,9 @@ def read_meshes(
     if not geometries:
         left_out = "; ".join(sentences(notes.geometry))
         raise ValueError(f"the mesh is empty: it has no triangles{left_out and f' ({left_out})'}")
+    count = sum(len(geometry.triangles) for geometry in geometries)
+    if count > MOST_TRIANGLES:
+        raise ValueError(f"has {count:,} triangles with its instances; {MOST_TRIANGLES:,} are read")
     meshes = _placed(geometries, transform, smooth, notes)
     if notes.smoothing and smooth is None:
         notes.shape("smoothing groups are not read, and faces without normals are flat", "smooth = true")

@@ -15,6 +15,8 @@ from .texture import LARGEST_HALF, Texture, linear_from_srgb
 # Pixels of an image's side, and of all images of a scene: 1 GiB of texels.
 LARGEST_SIDE = 1 << 14
 MOST_TEXELS = 1 << 27
+# Bytes of pixels, in single precision, that any file may announce, and that one may for each of its own.
+_SMALL_IMAGE, _DENSEST = 1 << 28, 1 << 14
 _FLOATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
 ENCODINGS = ("auto", "srgb", "linear")
 
@@ -110,6 +112,12 @@ def _decode(image: Path | bytes, encoding: str, most: int) -> NDArray[np.float16
         if spec.width * spec.height > most:
             raise ImageTooLargeError(
                 f"the images have more than {MOST_TEXELS:,} pixels in all: scale them down"
+            )
+        announced = spec.width * spec.height * min(spec.nchannels, 4) * 4
+        if announced > max(_SMALL_IMAGE, _DENSEST * image.stat().st_size):
+            raise ImageTooLargeError(
+                f"the file is too small for an image of {spec.width} × {spec.height} pixels: was it cut "
+                "off?"
             )
         is_float = spec.format.basetype in _FLOATS
         kind = oiio.UINT8 if spec.format.basetype == oiio.UINT8 else oiio.FLOAT

@@ -1,0 +1,82 @@
+"""What smooth edges cost: points a pixel and filters, at as many samples a pixel.
+
+For each scene, `supersample` k with spp / k² samples a point, and each filter: processor seconds, the
+root mean square error against a picture of 12 × 12 points a pixel by the same filter, and how much of it
+is noise, by the picture's own variance. Errors are those of display values, (x / (1 + x))^(1 / 2.2), so
+that no lamp counts for more than its edge shows.
+
+    python bench/bench_filters.py [--size 96 72] [--spp 64]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+import ncv_cl as ncv
+
+SCENES = Path(__file__).parent.parent / "scenes"
+CASES = [("occluders", "direct"), ("knot", "ao"), ("cornell_box", "gi")]
+SIDES = (1, 2, 4)
+FILTERS = ("box", "tent", "blackman-harris")
+FINE, FINE_SPP = 12, 16
+REPEATS = 3
+
+
+def shown(pixels: np.ndarray) -> np.ndarray:
+    """Display values of radiance."""
+    positive = np.maximum(pixels, 0.0)
+    return (positive / (1.0 + positive)) ** (1 / 2.2)
+
+
+def noise(image: ncv.Image) -> float:
+    """Root mean square of display values' standard deviations."""
+    pixels, step = np.maximum(image.pixels, 0.0), 1e-4
+    slope = (shown(pixels + step) - shown(pixels)) / step
+    return float(np.sqrt(np.mean(slope**2 * image.variance)))
+
+
+def measure(scene: str, integrand: str, size: tuple[int, int], spp: int) -> None:
+    """Print a row for every number of points and filter."""
+    path = SCENES / f"{scene}.toml"
+    base = {"method": "mc", "size": size}
+    references = {
+        name: shown(
+            ncv.render(path, integrand, spp=FINE_SPP, supersample=FINE, filter=name, **base).pixels
+        )
+        for name in FILTERS
+    }
+    for side in SIDES:
+        own = max(1, spp // side**2)
+        for name in FILTERS if side > 1 else ("box",):
+            seconds, errors, noises = [], [], []
+            for seed in range(REPEATS):
+                begun = time.process_time()
+                image = ncv.render(
+                    path, integrand, spp=own, seed=seed + 1, supersample=side, filter=name, **base
+                )
+                seconds.append(time.process_time() - begun)
+                errors.append(np.mean((shown(image.pixels) - references[name]) ** 2))
+                noises.append(noise(image))
+            print(
+                f"{scene:12} {integrand:7} {side} x {side} points of {own:3}, {name:16} "
+                f"{min(seconds):6.2f} s, error {np.sqrt(np.mean(errors)):.4f}, "
+                f"noise {np.mean(noises):.4f}",
+                flush=True,
+            )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, nargs=2, default=(96, 72))
+    parser.add_argument("--spp", type=int, default=64)
+    options = parser.parse_args()
+    for scene, integrand in CASES:
+        measure(scene, integrand, tuple(options.size), options.spp)
+
+
+if __name__ == "__main__":
+    main()
