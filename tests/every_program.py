@@ -79,6 +79,10 @@ radius = 0.3
 radiance = 2
 """
 )
+# Light from outside alone, and beside lights.
+DARK = MATTE[: MATTE.index("[[lights]]")]
+SKY = '[environment]\nsky = "overcast"\n'
+SUN = "[environment.sun]\nelevation = 30\nirradiance = 2\n"
 # No light, and a surface that emits; a sphere has normals of its own.
 GLOWING = (
     MATTE[: MATTE.index("[[lights]]")].replace("[[quads]]", "emission = 2\n[[quads]]")
@@ -122,6 +126,10 @@ def render_everything(device: Device, folder: Path) -> None:
         (GLASS, DirectLight()),
         (GLASS, GlobalIllumination(3)),
         (PANES, GlobalIllumination(3)),
+        (DARK + SUN, DirectLight()),
+        (GLOSSY + SKY + SUN, DirectLight()),
+        (GLOSSY + SKY + SUN, GlobalIllumination(3)),
+        (DARK + SKY, GlobalIllumination(3)),
         (TEXTURED, GlobalIllumination(3)),
         (
             TEXTURED.replace("[[quads]]", "reflectance = 0.2\n[[quads]]") + COLOURED,

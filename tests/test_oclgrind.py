@@ -112,6 +112,17 @@ def test_simulator_finds_no_fault_in_textures(vec, lanes, scenes, tmp_path):
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("integrand", ["direct", "gi"])
+def test_simulator_finds_no_fault_under_a_sky(integrand, vec, lanes, scenes, tmp_path):
+    """An image and a sun beside lights, on matte and glossy surfaces."""
+    scene = tmp_path / "sky.toml"
+    sky = '[environment]\nsky = "overcast"\n[environment.sun]\nelevation = 40\nirradiance = 2\n'
+    scene.write_text((scenes / "veach_plates.toml").read_text(encoding="utf-8") + sky, encoding="utf-8")
+    faults = simulate(tmp_path / "log", PROGRAM, scene, integrand, "mc", "sobol", str(vec), str(lanes))
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 def test_simulator_finds_no_fault_at_points(vec, lanes, scenes, tmp_path):
     program = PROGRAM.with_name("oclgrind_points.py")
     faults = simulate(tmp_path / "log", program, scenes / "interior.toml", str(vec), str(lanes))
