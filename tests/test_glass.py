@@ -46,7 +46,8 @@ def pane_reflectance(cosine, ior=1.5):
 def test_in_a_furnace_smooth_glass_is_not_to_be_seen(one_device, material, meshes, method):
     scene = furnace(material, meshes)
     options = {"train_spp": 16} if method == "ncv" else {}
-    image = ncv.render(scene, "gi", method, spp=128, size=(16, 12), device=one_device, **options)
+    spp = 128 if method == "mc" else 64
+    image = ncv.render(scene, "gi", method, spp=spp, size=(16, 12), device=one_device, **options)
     z = (image.pixels - GLOW) / np.sqrt(image.variance + 1e-4)
     # Silhouettes of a ball of triangles with the ball's normals are the loss.
     assert image.pixels / GLOW == pytest.approx(1, abs=0.2)
@@ -74,7 +75,7 @@ def seen_through(material, angle, thickness):
         meshes.append(block([0, 0, 0], wide, "glass"))
     else:
         meshes.append(sheet([-200, -200, 0], [400, 0, 0], [0, 400, 0], "glass"))
-    camera = ncv.Camera(-2 * direction, (0, 0, 0), 1e-3)
+    camera = ncv.Camera(-2 * direction, (0, 0, 0), 0.5)
     materials = {"glass": material, "wall": ncv.Material(0.0, emission=1)}
     return ncv.build_scene(camera, materials, meshes)
 
@@ -156,14 +157,13 @@ def test_panes_let_lights_pass_by_their_angle(one_device, integrand, method):
 def test_light_behind_a_pane_is_found_once(one_device, roughness):
     """A glossy floor finds the lamp by its points and by its lobe, both through the pane."""
     scene = under_a_pane(roughness, 0.5)
-    options = {"method": "mc", "size": (12, 9), "device": one_device}
-    direct = ncv.render(scene, "direct", spp=1024, seed=1, **options)
+    options = {"method": "mc", "sampler": "independent", "size": (12, 9), "device": one_device}
+    direct = ncv.render(scene, "direct", spp=2048, seed=1, **options)
     paths = ncv.render(scene, ncv.GlobalIllumination(2), spp=2048, seed=2, **options)
-    split = ncv.render(scene, ncv.GlobalIllumination(2), spp=1024, seed=3, split_direct="off", **options)
-    for other in (paths, split):
-        z = (other.pixels - direct.pixels) / np.sqrt(direct.variance + other.variance + 1e-10)
-        assert np.mean(z**2) < 2 and np.abs(z).max() < 6
-        assert other.pixels.mean() == pytest.approx(direct.pixels.mean(), rel=5e-3)
+    z = (paths.pixels - direct.pixels) / np.sqrt(direct.variance + paths.variance + 1e-10)
+    # Channels err together: a third of the numbers are independent.
+    assert np.mean(z**2) < 1 + 5 * np.sqrt(2 / (z.size / 3)) and np.abs(z).max() < 5
+    assert paths.pixels.mean() == pytest.approx(direct.pixels.mean(), rel=5e-3)
 
 
 def test_panes_are_in_the_way_of_occlusion_and_solid_glass_of_all_shadow_rays(one_device):
@@ -285,3 +285,36 @@ def test_means_agree_with_mitsuba(one_device, case, method):
     variance = (ours.var(0, ddof=1) + other.var(0, ddof=1)) / images
     z = (ours.mean(0) - other.mean(0)) / np.sqrt(variance + 1e-12)
     assert np.mean(np.abs(z) < 5) > 0.95
+
+
+@pytest.mark.slow
+def test_a_white_conductor_agrees_with_mitsubas(one_device, monkeypatch):
+    """Reflectance 1 has the same Fresnel term in both; tints go up to white at the rim in ours alone."""
+    pytest.importorskip("mitsuba", reason="mitsuba is not installed")
+    sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
+    import compare_mitsuba
+    import mitsuba_scene
+
+    own = mitsuba_scene.MitsubaScene._bsdf
+
+    def with_conductor(scene, material, coloured=False):
+        if not material.reflectance.any():
+            return own(scene, material, coloured)
+        rough = {"distribution": "ggx", "alpha": material.roughness**2, "material": "none"}
+        return {"type": "twosided", "conductor": {"type": "roughconductor", **rough}}
+
+    monkeypatch.setattr(mitsuba_scene.MitsubaScene, "_bsdf", with_conductor)
+    scene = room(ncv.Material(0.0, 1.0, 0.4), BALL)
+    theirs = mitsuba_scene.MitsubaScene(compare_mitsuba.import_mitsuba(), scene)
+    path = {"type": "path", "max_depth": -1, "rr_depth": 8}
+    size, options = (16, 12), {"method": "mc", "spp": 256, "device": one_device}
+    other = np.stack([theirs.radiance(path, size, 1, 64, s) for s in range(4)])
+    ours = [ncv.render(scene, "gi", size=size, seed=s, **options).pixels for s in range(4)]
+    row = compare_mitsuba.compare(np.stack(ours).astype(np.float64), other, 64)
+    for difference, error in zip(row["difference"], row["standard_error"], strict=True):
+        assert abs(difference) <= max(4 * error, 0.005) and error < 0.02
+
+
+def test_lines_on_lights_are_not_for_panes(one_device):
+    with pytest.raises(ValueError, match="thin panes; take 'auto'"):
+        ncv.render(under_a_pane(), "direct", visibility="lines", spp=4, size=(4, 4), device=one_device)

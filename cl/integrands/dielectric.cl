@@ -1,9 +1,10 @@
 /* Directions in which dielectrics scatter, VEC at a time: what is reflected, and what goes through.
  *
  * Walter et al. 2007. A microfacet normal h is drawn from those that the viewer sees (bounce.cl), or is the surface's
- * own where that is smooth (the least roughness, and thin panes): then light is scattered in two directions. u < q
- * chooses the reflection by h, the rest refraction, and what is left of u is stretched. q follows Fresnel's reflectance F at
- * the surface's own normal. A sample is worth, with i the direction and G1 Smith's masking of it,
+ * own where that is smooth (the least roughness, and thin panes): then light is scattered in two directions. With
+ * probability q that is the reflection by h, else the refraction. q is Fresnel's reflectance F(h . o), and a third number
+ * chooses. A shading point has but its square: there q follows F at the surface's own normal, u < q chooses, and what is
+ * left of u is stretched. A sample is worth, with i the direction and G1 Smith's masking of it,
  *
  *   F(h . o) G1(i) / q                      reflected
  *   tint (1 - F(h . o)) G1(i) / (1 - q) / eta^2     refracted
@@ -23,8 +24,6 @@
 #define UNMATCHED 1e30f
 /* A direction on the wrong side of its triangle, as shading normals make some, becomes one at this sine above it. */
 #define BESIDE 1e-3f
-/* Shares of a rough surface stay away from 0 and 1: its F varies over microfacets. */
-#define LEAST_GLASS_SHARE 0.1f
 
 typedef struct {
   triple direction, throughput;
@@ -34,17 +33,17 @@ typedef struct {
 
 whole is_smooth_glass(const Scatterer *s) { return (s->eta < 0.0f) || (s->roughness <= SMOOTH_GLASS); }
 
-/* q. At first hits a multiple of 1/8, for the square's boundary between the two to be on the dyadic grid. */
-real reflected_share(const Scatterer *s, const real cosine, const int is_first) {
-  const real reflected = glass_reflectance(s, cosine);
-  const real dyadic = clamp(0.125f * rint(8.0f * reflected), (real)0.125f, (real)0.875f);
-  const real inner = clamp(reflected, (real)LEAST_GLASS_SHARE, (real)(1.0f - LEAST_GLASS_SHARE));
-  return is_first ? dyadic : SELECT(inner, reflected, is_smooth_glass(s));
+/* q of a shading point: a multiple of 1/8, for the square's boundary between the two to be on the dyadic grid. */
+real reflected_strip(const Scatterer *s, const real cosine) {
+  return clamp(0.125f * rint(8.0f * glass_reflectance(s, cosine)), (real)0.125f, (real)0.875f);
 }
 
 /* Factor, by the balance heuristic, of light that was sampled in a direction above the surface. */
 real glass_light_weight(const Scatterer *s, const triple towards, const real density, const int is_first) {
-  const real share = reflected_share(s, dot_triple(s->normal, s->outgoing), is_first);
+  const triple sum = {towards.x + s->outgoing.x, towards.y + s->outgoing.y, towards.z + s->outgoing.z};
+  const real cosine_h = dot_triple(s->outgoing, sum) * rsqrt(max(dot_triple(sum, sum), (real)1e-20f));
+  const real share =
+      is_first ? reflected_strip(s, dot_triple(s->normal, s->outgoing)) : glass_reflectance(s, cosine_h);
   const real own = share * lobe_density(s, towards);
   return SELECT(density / (density + own), (real)0.0f, is_smooth_glass(s));
 }
@@ -71,19 +70,27 @@ triple microfacet_normal(const Scatterer *s, const real u, const real v) {
                   SELECT(world.z, s->normal.z, own)};
 }
 
-/* A point of the unit square of a dielectric's directions. */
-GlassRay sample_glass(const Scatterer *s, const triple geometric_normal, const real u, const real v, const int is_first) {
+/* Where in its part of the unit interval, below or above a share, a number lies. */
+real stretched(const real u, const real share) {
+  return SELECT((u - share) / max(1.0f - share, (real)1e-30f), u / max(share, (real)1e-30f), u < share);
+}
+
+/* A point of the unit square of a dielectric's directions; `choice`, a number of the unit interval, is as good as new
+ * afterwards, and for a shading point left as it is. */
+GlassRay sample_glass(const Scatterer *s, const triple geometric_normal, const real u, const real v, real *choice,
+                      const int is_first) {
   const whole thin = s->eta < 0.0f;
   const whole smooth = is_smooth_glass(s);
   const triple o = s->outgoing;
   const triple n = geometric_normal;
   const real cosine_o = SELECT(dot_triple(s->normal, o), dot_triple(n, o), thin);
-  const real share = reflected_share(s, cosine_o, is_first);
-  const whole reflects = u < share;
-  const real along = SELECT((u - share) / max(1.0f - share, (real)1e-30f), u / max(share, (real)1e-30f), reflects);
-  const triple h = microfacet_normal(s, along, v);
+  const real strip = reflected_strip(s, cosine_o);
+  const triple h = microfacet_normal(s, is_first ? stretched(u, strip) : u, v);
   const real cosine_h = clamp(dot_triple(o, h), (real)1e-6f, (real)1.0f);
   const real reflected = glass_reflectance(s, SELECT(cosine_h, cosine_o, smooth));
+  const real share = is_first ? strip : reflected;
+  const whole reflects = (is_first ? u : *choice) < share;
+  if (!is_first) *choice = stretched(*choice, share);
 
   const triple mirrored = {2.0f * cosine_h * h.x - o.x, 2.0f * cosine_h * h.y - o.y, 2.0f * cosine_h * h.z - o.z};
   const real inverse_eta = 1.0f / fabs(s->eta);

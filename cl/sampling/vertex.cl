@@ -133,7 +133,7 @@ triple scaled(const triple t, const real factor) { return (triple){t.x * factor,
  * roulette; returns which lanes go on. */
 whole next_ray(const Scatterer *s, const triple geometric_normal, const whole cell, const uint bounce,
                global const uint *restrict guide, global const float *restrict guide_known, const real square_u,
-               const real square_v, const real chance, const whole reached, Ray *ray, triple *brought) {
+               const real square_v, real chance, const whole reached, Ray *ray, triple *brought) {
   real u = square_u;
   real v = square_v;
 #if GUIDED
@@ -155,10 +155,12 @@ whole next_ray(const Scatterer *s, const triple geometric_normal, const whole ce
   const whole glass = is_glass(s);
   real inside = (real)1.0f;
   if (ANY(glass)) {
-    const GlassRay own = sample_glass(s, geometric_normal, square_u, square_v, 0);
+    real choice = chance;
+    const GlassRay own = sample_glass(s, geometric_normal, square_u, square_v, &choice, 0);
     ray->direction = select_triple(ray->direction, own.direction, glass);
     worth = select_triple(worth, own.throughput, glass);
     ray->density = SELECT(ray->density, own.density, glass);
+    chance = SELECT(chance, choice, glass);
     /* Where paths go on in the denser medium their throughput is that much smaller, and what they bring is not. */
     const real eta = SELECT((real)1.0f, s->eta, s->eta > 0.0f);
     inside = SELECT((real)1.0f, max(eta * eta, 1.0f / (eta * eta)), own.passes != (eta < 1.0f));
@@ -216,7 +218,8 @@ triple leaving_from(const triple position, const triple normal, const real offse
 /* A path's first ray from a point of glass. Without DIRECT the light that it reflects is estimated apart. */
 void enter_glass(const Scatterer *s, const ShadingPoint *p, const real u, const real v, Ray *ray) {
   const triple normal = to_triple(p->geometric_normal);
-  const GlassRay own = sample_glass(s, normal, u, v, 1);
+  real none = (real)0.0f;
+  const GlassRay own = sample_glass(s, normal, u, v, &none, 1);
   ray->direction = own.direction;
   ray->throughput = own.throughput;
   ray->density = SELECT(DIRECT ? own.density : (real)0.0f, own.density, own.passes);

@@ -47,7 +47,7 @@ class PixelGrid:
         return np.float32 if self.width * self.height > LARGE else np.float64
 
     def plane(self, values: np.ndarray | None, points: slice) -> np.ndarray:
-        """Sum of one channel (points,) in each pixel, or the number of points: float64 (height, width)."""
+        """Sum of a channel (points,) in each pixel, or the number of points: float64 (height, width)."""
         return self._counted(values, self.pixel[points])
 
     def mean(self, values: np.ndarray, points: slice) -> np.ndarray:
