@@ -15,6 +15,7 @@ from mitsuba_tables import scene_dict
 
 import ncv_cl as ncv
 from ncv_cl.host.reach import Reach
+from ncv_cl.scene.imports import Found
 from ncv_cl.scene.imports.mitsuba_scene import tables_of
 from ncv_cl.scene.load import scene_from
 from ncv_cl.scene.meshes.common import Notes
@@ -145,7 +146,8 @@ def imported(mi, tables: dict, folder: Path) -> dict:
 def built(tables: dict, folder: Path) -> ncv.Scene:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return scene_from({"name": "x"} | tables, folder / "x.toml", ImageFiles(Reach(folder)))
+        found = Found({"name": "x"} | tables)
+        return scene_from(found, folder / "x.toml", ImageFiles(Reach(folder)))
 
 
 def looks(scene: ncv.Scene) -> np.ndarray:
