@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from mesh_files import SQUARE, obj_text, write_image
 from mitsuba_files import load, matrix_text, rectangle, scene
 from reference import intersect
 
+import ncv_cl as ncv
 from ncv_cl.cli import main
 from ncv_cl.scene.textures.surface import surface_at
 
@@ -21,6 +24,8 @@ SHAPES = {
     "rectangle": "", "cube": "", "disk": "", "sphere": '<float name="radius" value="0.7"/>',
     "cylinder": '<point name="p0" x="0.1" y="0" z="0"/><point name="p1" x="0" y="0.5" z="1"/>',
     "obj": '<string name="filename" value="a.obj"/>', "ply": '<string name="filename" value="a.ply"/>',
+    "serialized": '<string name="filename" value="a.serialized"/>'
+    '<integer name="shape_index" value="1"/>',
 }  # fmt: skip
 PLACES = {
     "turned": np.array([[0, -2, 0, 1], [2, 0, 0, 0], [0, 0, 2, -1], [0, 0, 0, 1]], float),
@@ -31,8 +36,24 @@ PLACES = {
 
 def write_meshes(folder: Path) -> None:
     (folder / "a.obj").write_text(obj_text([SQUARE.tolist()]))
-    trimesh.creation.icosphere(subdivisions=1).export(folder / "a.ply")
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    ball.export(folder / "a.ply")
+    (folder / "a.serialized").write_bytes(serialized(trimesh.creation.box(), ball))
     write_image(folder / "t.png", np.arange(48, dtype=np.float32).reshape(4, 4, 3) / 48)
+
+
+def serialized(*meshes: trimesh.Trimesh) -> bytes:
+    """A file of version 4: the even ones in double precision, with texture coordinates."""
+    data, places = b"", []
+    for i, mesh in enumerate(meshes):
+        kind, flags = ("<f4", 0x1002) if i % 2 else ("<f8", 0x2002)
+        uv = 0.3 * mesh.vertices[:, :2] + 0.5
+        counts = struct.pack("<I5sQQ", flags, b"name\0", len(mesh.vertices), len(mesh.faces))
+        arrays = [mesh.vertices.astype(kind), uv.astype(kind), mesh.faces.astype("<u4")]
+        places.append(len(data))
+        packed = zlib.compress(counts + b"".join(array.tobytes() for array in arrays))
+        data += struct.pack("<HH", 0x041C, 4) + packed
+    return data + struct.pack(f"<{len(places)}QI", *places, len(places))
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -126,4 +147,33 @@ def test_import_writes_the_same_scene(tmp_path: Path, capsys) -> None:
     one, other = load(tmp_path / "x.xml"), load(tmp_path / "out" / "y.toml")
     assert one.digest == other.digest
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["a.obj", "a.ply", "t.png", "y.toml", "y_1.ply", "y_2.ply", "y_3.ply"]
+    assert names == ["a.obj", "a.ply", "t.png", "y.toml", "y_1.ply", "y_2.ply", "y_3.ply", "y_4.ply"]
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda data: data[:-60] + data[-20:], "cut off|decompressed|refers to"),
+        (lambda data: data[:-4] + b"\xff\xff\xff\xff", "has no mesh 1"),
+        (lambda data: b"", "has no mesh 1"),
+        (
+            lambda data: bytes(len(data) - 20) + data[-20:],
+            "no serialized mesh of version 3 or 4|has no mesh",
+        ),
+        (
+            lambda data: (
+                struct.pack("<HH", 0x041C, 4)
+                + zlib.compress(struct.pack("<IBQQ", 0x1000, 0, 1 << 40, 1))
+                + struct.pack("<QQI", 0, 0, 2)
+            ),
+            "announces more than it can hold",
+        ),
+    ],
+)
+def test_broken_serialized_meshes_are_errors(tmp_path: Path, change, said: str) -> None:
+    write_meshes(tmp_path)
+    file = tmp_path / "a.serialized"
+    file.write_bytes(change(file.read_bytes()))
+    (tmp_path / "x.xml").write_text(scene(f'<shape type="serialized">{SHAPES["serialized"]}</shape>'))
+    with pytest.raises(ncv.SceneError, match=said):
+        load(tmp_path / "x.xml")

@@ -54,7 +54,7 @@ def _import(options: argparse.Namespace) -> int:
     images = ImageFiles(Reach(None if options.allow_outside else source.parent))
     found = read_tables(source, images, options.camera)
     # As it will be loaded: whatever is wrong is said before anything is written.
-    scene = scene_from(found.tables, source, images, found.said)
+    scene = scene_from(found, source, images)
     for warning in scene.warnings:
         complain(warning, "warning")
     written = write_scene(found.tables, source, images.reach.checked_files, target, source.name)

@@ -65,7 +65,7 @@ def mesh_toml(path: str | Path, camera: str | None = None, allow_outside: bool =
         raise SceneError(f"{path}: --toml is for mesh files: {', '.join(meshes.KINDS)}")
     images = ImageFiles(Reach(None if allow_outside else path.parent))
     found = read_tables(path, images, camera)
-    scene_from(found.tables, path, images)
+    scene_from(found, path, images)
     return toml_text(found.tables).rstrip("\n")
 
 

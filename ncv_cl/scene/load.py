@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from . import geometry, meshes
 from .assembly import Assembly, add_environment, read_camera, read_materials
 from .build import mesh_of_arrays
 from .geometry import Mesh
-from .imports import read_tables
+from .imports import Found, read_tables
 from .lights.read import add_lights
 from .model import Camera, Material, QuadLight, Scene, TriangleMesh
 from .table import SceneError, Table
@@ -85,34 +84,30 @@ def read_scene(path: Path, camera: str | None = None, allow_outside: bool = Fals
     """`load_scene` that warns of nothing, see `Scene.warnings`."""
     images = ImageFiles(Reach(None if allow_outside else path.parent))
     found = read_tables(path, images, camera)
-    return scene_from(found.tables, path, images, found.said)
+    return scene_from(found, path, images)
 
 
-def scene_from(
-    tables: dict[str, object], path: Path, images: ImageFiles, said: Sequence[str] = ()
-) -> Scene:
+def scene_from(found: Found, path: Path, images: ImageFiles) -> Scene:
     """The scene of what a scene file holds.
 
     Parameters
     ----------
-    tables : dict
+    found : Found
     path : Path
         That file, for messages and mesh files.
     images : ImageFiles
         Its `reach` says which files may be read.
-    said : list of str
-        What the file has that `tables` do not.
 
     Raises
     ------
     SceneError
         As `load_scene` does.
     """
-    root = Table(path, "", tables, _SCENE_KEYS)
+    root = Table(path, "", found.tables, _SCENE_KEYS)
     assembly = Assembly(path, read_camera(root), read_materials(root, images))
-    assembly.warnings += [f"{path}: {sentence}" for sentence in said]
+    assembly.warnings += [f"{path}: {sentence}" for sentence in found.said]
     _add_primitives(root, assembly)
-    lights = _add_meshes(root, path.parent, images, assembly)
+    lights = _add_meshes(root, path.parent, images, assembly, found.mesh)
     add_environment(root, path.parent, images.reach, assembly)
     add_lights(root.replaced({"lights": [*root.entries("lights"), *lights]}), assembly)
     if assembly.is_empty:
@@ -202,13 +197,20 @@ def _read_transform(table: Table) -> NDArray[np.float64]:
 
 
 def _add_meshes(
-    root: Table, folder: Path, images: ImageFiles, assembly: Assembly
+    root: Table,
+    folder: Path,
+    images: ImageFiles,
+    assembly: Assembly,
+    known: meshes.FileMeshes | None,
 ) -> list[dict[str, object]]:
-    """Add the tables of ``meshes``; the lights that their files have are returned as tables."""
+    """Add the tables of ``meshes``; the lights that their files have are returned as tables.
+
+    What is `known` is the only file.
+    """
     lights: list[dict[str, object]] = []
     for table in root.tables("meshes", {*_MESH_KEYS, *_ARRAY_KEYS}):
         if "file" in table:
-            lights += _add_mesh_file(table.only(_MESH_KEYS), folder, images, assembly)
+            lights += _add_mesh_file(table.only(_MESH_KEYS), folder, images, assembly, known)
         else:
             table = table.only(_ARRAY_KEYS)
             mesh = mesh_of_arrays(table)
@@ -217,7 +219,11 @@ def _add_meshes(
 
 
 def _add_mesh_file(
-    table: Table, folder: Path, images: ImageFiles, assembly: Assembly
+    table: Table,
+    folder: Path,
+    images: ImageFiles,
+    assembly: Assembly,
+    known: meshes.FileMeshes | None,
 ) -> list[dict[str, object]]:
     file = folder / table.text("file")
     transform = _read_transform(table)
@@ -228,7 +234,7 @@ def _add_mesh_file(
     try:
         images.reach.checked(file)
         textured = material is not None and bool(assembly.materials[material].textures)
-        found = meshes.read_meshes(file, transform, smooth, images, textured)
+        found = known or meshes.read_meshes(file, transform, smooth, images, textured)
     except ValueError as error:
         raise table.error(key, str(error)) from error
     if dim and material is not None and not found.lights:

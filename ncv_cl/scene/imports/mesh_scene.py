@@ -44,7 +44,7 @@ def mesh_scene(path: Path, images: ImageFiles, camera: str | None) -> Found:
     if not (emits or found.lights):
         said.append(NO_LIGHT)
         tables["lights"] = [light_table(bounds)]
-    return Found(tables, said + sentences(notes.geometry))
+    return Found(tables, said + sentences(notes.geometry), found)
 
 
 def chosen_camera(

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry import sphere_mesh
+from ..geometry import averaged_normals, sphere_mesh
 from ..meshes.common import Notes
 from .mitsuba_materials import Materials
 from .mitsuba_texture import Textures
 from .mitsuba_xml import Plugin
+from .serialized import read_serialized
 
 # A circle of so many sides, and a sphere of 20 · 4⁴ triangles, are nowhere off by a thousandth of their
 # radius.
@@ -216,6 +217,21 @@ class Shapes:
 
     _ply = _obj
 
+    def _serialized(self, shape: Plugin, matrix: np.ndarray, bsdf: Any, emission: Any) -> None:
+        name = str(shape.values.get("filename", ""))
+        file = self._textures.file(name)
+        if file is None:
+            raise ValueError(f"the mesh file {name!r} of a shape does not exist")
+        mesh = read_serialized(self._textures.folder / file, int(shape.values.get("shape_index", 0)))
+        material = self._material(bsdf, emission)
+        if material is None:
+            return
+        flat = mesh.flat or bool(shape.values.get("face_normals", False))
+        normals = mesh.normals
+        if normals is None:
+            normals = averaged_normals(mesh.vertices, mesh.triangles)
+        self._mesh(mesh.vertices, mesh.triangles, matrix, material, None if flat else normals, mesh.uv)
+
     def _is_textured(self, material: str) -> bool:
         return any(isinstance(value, dict) for value in self._materials.tables[material].values())
 
@@ -226,7 +242,7 @@ class Shapes:
         matrix: np.ndarray,
         material: str,
         normals: np.ndarray | None,
-        uv: np.ndarray,
+        uv: np.ndarray | None,
     ) -> None:
         """A mesh of arrays, moved to its place."""
         linear = matrix[:3, :3]
@@ -236,7 +252,7 @@ class Shapes:
         entry: Entry = {"vertices": vertices @ linear.T + matrix[:3, 3], "triangles": triangles}
         if normals is not None:
             entry["normals"] = normals @ np.linalg.inv(linear)
-        if self._is_textured(material):
+        if uv is not None and self._is_textured(material):
             entry["uv"] = uv
         if np.linalg.det(linear) < 0.0:
             entry["triangles"] = triangles[:, ::-1]

@@ -29,22 +29,23 @@ class Textures:
 
     Attributes
     ----------
+    folder : Path
     downwards : bool
         Whether the surfaces' v is Mitsuba's, 0 at an image's upper side; else ours, 0 at its lower side.
     """
 
     def __init__(self, folder: Path, images: ImageFiles, notes: Notes) -> None:
         self.downwards = False
-        self._folder = folder
+        self.folder = folder
         self._images = images
         self._notes = notes
 
     def file(self, name: object) -> str | None:
         """A file's path from the scene's folder; None if it does not exist."""
-        found = find_file(self._folder, str(name), self._images.reach)
+        found = find_file(self.folder, str(name), self._images.reach)
         if found is None:
             return None
-        return Path(os.path.relpath(found, self._folder)).as_posix()
+        return Path(os.path.relpath(found, self.folder)).as_posix()
 
     def table(self, texture: Plugin, encoding: str) -> dict[str, Any] | None:
         """An image as a material's value; None, and noted, where it cannot be read.
@@ -55,7 +56,7 @@ class Textures:
             Of an image that is not `raw`.
         """
         file = self.file(texture.values.get("filename", ""))
-        if file is None or self._images.texels(self._folder / file) is None:
+        if file is None or self._images.texels(self.folder / file) is None:
             kind = MISSING.format(f"{FALLBACK_ALBEDO:g}")
             self._notes.look(kind, str(texture.values.get("filename", texture.name)))
             return None
@@ -82,7 +83,7 @@ class Textures:
             raise ValueError(f"{value!r} is no number, colour or texture")
         if value.kind == "bitmap":
             file = self.file(value.values.get("filename", ""))
-            mean = None if file is None else mean_colour(self._images, self._folder / file)
+            mean = None if file is None else mean_colour(self._images, self.folder / file)
             return FALLBACK_ALBEDO if mean is None else mean
         if value.kind in _COLOURS:
             return self._constant(value)

@@ -56,8 +56,8 @@ def write_scene(
             write_whole(path, lambda file, mesh=mesh: file.write(ply_bytes(**mesh)))
             entry["file"] = path.name
             written.append(path)
-    # What Mitsuba's files say is in the tables.
-    copied = {file for file in read if file.suffix.lower() != ".xml"}
+    # What Mitsuba's own files say is in the tables.
+    copied = {file for file in read if file.suffix.lower() not in (".xml", ".serialized")}
     copies = _copies(source.parent, copied, target.parent)
     _name_what_stays(tables, source.parent)
     for file, copy in copies.items():
