@@ -210,8 +210,7 @@ def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
 
     passes = Passes(problem, targets, estimate.edges, warp, watch, keep)
     passes.run("", first=request.first, last=request.last)
-    everything = range(points.active)
-    states = [one.accumulator.part(everything) for one in targets]
+    states = [one.accumulator.state() for one in targets]
     return TileResult(
         device_line(bench.device),
         [(state, samples.astype(np.uint32)) for state, samples in states],
@@ -257,7 +256,8 @@ def _targets(
     targets = []
     for number, stream in enumerate(estimate.streams):
         allocation = whole if number == 0 else whole.restricted(twice, points.active)
-        accumulator = Accumulator(problem.device, points, problem.source.channels, folded)
+        chosen = None if number == 0 else twice
+        accumulator = Accumulator(problem.device, points, problem.source.channels, folded, chosen)
         if request.states is not None:
             accumulator.restore(*request.states[number])
         targets.append(Target(accumulator, allocation, stream))
