@@ -205,7 +205,7 @@ class Accumulator:
         self.samples[self._stored] = samples
 
     def take(self, points: range, state: np.ndarray, samples: np.ndarray) -> None:
-        """Put in the `state` of another accumulator of those of `points` that are chosen; on the host."""
+        """Put in another accumulator's `state`, of those of `points` that are chosen; on the host."""
         own = self._columns(points)
         self._state.values[:, own] = state
         self.samples[own] = samples
