@@ -17,6 +17,7 @@ from test_architecture import FOLDERS
 
 import ncv_cl as ncv
 from ncv_cl import cli
+from ncv_cl.machines.inline import Inline
 from ncv_cl.output.image import LAYER_CHANNELS
 
 CHECKOUT = Path(__file__).parent.parent
@@ -146,6 +147,7 @@ def test_tables_of_results_are_complete(folder, one_device, scenes):
         ncv.render(box, "gi", "ncv", spp=4, checkpoint="kept.npz", **common),
         ncv.render(knot, "ao", "mc", spp=4, visibility="lines", **common),
         ncv.render(box, "ao", "mc", spp=64, **common),
+        ncv.render(box, "ao", "mc", spp=4, executor=Inline(), **common),
     ]
     ours = {key for image in images for key in image.stats}
     stages = {key for image in images for key in image.stats["seconds"]}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from test_determinism import assert_same_bits
 from test_integrand_plugin import SKY, write
 
 import ncv_cl as ncv
+from ncv_cl.cli import main
 from ncv_cl.machines.inline import Inline
 
 AROUND = np.random.default_rng(3)
@@ -188,13 +190,26 @@ def test_other_devices_and_other_builds_are_refused(monkeypatch):
         picture("direct", executor=Inline(), seed=77)
 
 
-def test_dask_makes_the_bits_of_no_executor(monkeypatch):
+def test_dask_makes_the_bits_of_no_executor(monkeypatch, tmp_path):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{ROOT / 'tests'}")
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         for case in ("direct, network", "gi"):
             assert_same_bits(alone(case), picture(case, executor=client.get_executor()))
+        out, stats = tmp_path / "image.exr", tmp_path / "stats.json"
+        options = "--size 24x20 --method mc --spp 160 --seed 5 --task-points 130"
+        command = f"{SCENES}/cornell_box.toml {options}"
+        files = ["-o", str(out), "--json", str(stats), "--dask", cluster.scheduler_address]
+        assert main(["render", *command.split(), *files]) == 0
+        np.testing.assert_array_equal(ncv.Image.read(out).pixels, alone("direct").pixels)
+        assert len(json.loads(stats.read_text())["machines"]["workers"]) >= 1
+
+
+def test_one_kind_of_workers_at_a_time(tmp_path, capsys):
+    files = ["-o", str(tmp_path / "image.exr"), "--processes", "2", "--dask", "tcp://localhost:1"]
+    assert main(["render", str(SCENES / "cornell_box.toml"), *files]) == 2
+    assert "either --processes or --dask" in capsys.readouterr().err
 
 
 BY_MPI = """

@@ -109,13 +109,20 @@ class ImageEstimate:
         The image is made of the last one. Only in that one the points that are estimated twice have both
         estimates merged, and variances are calibrated.
         """
-        final = self._final()
-        if self._first.quantities == 1:
-            return [final]
-        return [replace(self._first.result(), samples=final.samples), final]
+        return self._results(False)
 
-    def _final(self) -> Estimate:
-        """The estimate that the image is made of, with the calibrated variance of its mean."""
+    def _results(self, is_last: bool) -> list[Estimate]:
+        if self._first.quantities == 1:
+            return [self._final(is_last)]
+        plain = self._first.result()
+        final = self._final(is_last)
+        return [replace(plain, samples=final.samples), final]
+
+    def _final(self, is_last: bool = False) -> Estimate:
+        """The estimate that the image is made of, with the calibrated variance of its mean.
+
+        For the last time: what samples were added to is let go first.
+        """
         quantity = self._first.quantities - 1
         first = self._first.result(quantity)
         if not self._points.active:
@@ -126,8 +133,13 @@ class ImageEstimate:
         # If the last kept mean is that of all samples, the one before it is the part.
         done = self.done if self.ahead is None else self.ahead_to
         parts = self.parts[:-1] if _is_power_of_two(done) else self.parts
+        second = self._second.result(quantity, only_chosen=True)
         if parts:
-            expected = halves(first.mean, parts[-1][quantity], *self._grid)
+            part = parts[-1][quantity]
+            if is_last:
+                self._first = self._second = None
+                self.parts = parts = []
+            expected = halves(first.mean, part, *self._grid)
             repeated = expected[:, self.twice]
         else:
             prior = self._prior(first)
@@ -136,7 +148,6 @@ class ImageEstimate:
                 for each in (first, self._second.result(quantity))
             )
             repeated = repeated[:, self.twice]
-        second = self._second.result(quantity, self.twice)
         return calibrate(first, second, self.twice, expected, repeated)
 
     def end(self) -> tuple[Estimate, Estimate | None]:
@@ -148,7 +159,7 @@ class ImageEstimate:
         self._warp = None
         for accumulator in self.accumulators:
             accumulator.network = None
-        results = self.results()
+        results = self._results(True)
         return results[0], results[1] if len(results) > 1 else None
 
     def _keep_parts(self, done: int) -> None:

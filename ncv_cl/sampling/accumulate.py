@@ -46,6 +46,14 @@ class Estimate:
         """The same of some points only; not calibrated."""
         return Estimate(self.mean[:, points], self.variance[:, points], self.samples[points])
 
+    def among(self, points: np.ndarray, total: int) -> Estimate:
+        """The same among so many points, of which the others have no samples."""
+        shape = (len(self.mean), total)
+        found = Estimate(np.zeros(shape), np.full(shape, np.nan), np.zeros(total))
+        found.mean[:, points], found.variance[:, points] = self.mean, self.variance
+        found.samples[points] = self.samples
+        return found
+
     @property
     def variance_of_mean(self) -> np.ndarray:
         """Variance of `mean`; where not calibrated, as if samples were independent (for Sobol a bound).
@@ -111,7 +119,11 @@ class Accumulator:
         self.points = points
         self.channels = channels
         self.network = network
-        self.samples = np.zeros(points.active)
+        # What is put together here of few points has columns for these alone.
+        self._is_short = on_host and chosen is not None
+        self._stored = slice(None) if self._is_short else self._chosen
+        columns = len(chosen) if self._is_short else points.active
+        self.samples = np.zeros(columns)
         self._samples_of_all = 0
         self._lanes = device.lanes
         self._group_points = max(1, GROUP_SIZE // device.lanes)
@@ -131,7 +143,7 @@ class Accumulator:
         rows = self.quantities * channels * STATE.size
         self._state: HostArray | HostState
         if on_host:
-            self._state = HostState((rows, points.active))
+            self._state = HostState((rows, columns))
             return
         self._state = HostArray(device, (rows, points.active), np.float32)
         self._state.fill(0.0)
@@ -177,32 +189,37 @@ class Accumulator:
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """What `restore` takes: sums (rows, chosen points) and numbers of samples (chosen points,)."""
-        return self._state.read()[:, self._chosen], self.samples[self._chosen]
+        return self._state.read()[:, self._stored], self.samples[self._stored]
 
     def restore(self, state: np.ndarray, samples: np.ndarray) -> None:
         """Go on from another accumulator's `state`; ValueError if it is not of as many points."""
         whole = self._state.read()
-        expected = whole[:, self._chosen].shape
+        expected = whole[:, self._stored].shape
         if state.shape != expected or samples.shape != expected[1:]:
             raise ValueError(
                 f"the checkpoint's state must be {expected}, is {state.shape}: it was tampered with"
             )
-        whole[:, self._chosen] = state
+        whole[:, self._stored] = state
         with self._state.mapped(write=True) as view:
             view[...] = whole
-        self.samples[self._chosen] = samples
+        self.samples[self._stored] = samples
 
     def take(self, points: range, state: np.ndarray, samples: np.ndarray) -> None:
-        """Put in what another accumulator has of some points: its sums (rows, points) and samples."""
-        with self._state.mapped() as view:
-            view[:, points.start : points.stop] = state
-        self.samples[points.start : points.stop] = samples
+        """Put in another accumulator's `state`, of those of `points` that are chosen; on the host."""
+        own = self._columns(points)
+        self._state.values[:, own] = state
+        self.samples[own] = samples
 
     def part(self, points: range) -> tuple[np.ndarray, np.ndarray]:
         """What `take` takes."""
-        own = slice(points.start, points.stop)
-        with self._state.mapped() as view:
-            return view[:, own].copy(), self.samples[own]
+        own = self._columns(points)
+        return self._state.values[:, own].copy(), self.samples[own]
+
+    def _columns(self, points: range) -> slice:
+        """Where those of `points` that are chosen are kept, on the host."""
+        if not self._is_short:
+            return slice(points.start, points.stop)
+        return slice(*np.searchsorted(self._chosen, (points.start, points.stop)))
 
     def means(self) -> np.ndarray:
         """Means so far, float64 (quantities, channels, points)."""
@@ -210,8 +227,11 @@ class Accumulator:
         state = state.reshape(self.quantities, self.channels, STATE.size, -1)
         return (state[:, :, STATE["mean"]] + state[:, :, STATE["low"]])[:, :, 0]
 
-    def result(self, quantity: int = 0, chosen: np.ndarray | slice = slice(None)) -> Estimate:
-        """Means and variances of f (`quantity` 0) or of f − g (1), of the `chosen` points."""
+    def result(self, quantity: int = 0, only_chosen: bool = False) -> Estimate:
+        """Means and variances of f (`quantity` 0) or of f − g (1), of all points or only the chosen."""
+        if self._is_short and not only_chosen:
+            return self.result(quantity, True).among(self._chosen, self.points.active)
+        chosen = self._stored if only_chosen else slice(None)
         samples = self.samples[chosen].copy()
         rows = self.channels * STATE.size
         with self._state.mapped() as view:

@@ -135,6 +135,17 @@ class Batches:
         self._slot = HostArray(device, capacity, np.uint32)
         self._visible = HostArray(device, capacity, np.uint8)
 
+    def move_to(self, points: ShadingPoints, occluders: Occluders | None = None) -> None:
+        """Draw at other points from now on, in the memory that there is, and count rays anew.
+
+        Parameters
+        ----------
+        occluders : Occluders, optional
+            Of these points, where there were some of the others.
+        """
+        self.points, self.rays = points, RayCount()
+        self._every_point = HostArray.of(self.device, np.arange(points.active, dtype=np.uint32))
+
     def batches(self, count: int | None = None) -> list[range]:
         """`count` points (all active ones by default) cut into ranges that fit a batch."""
         step = self.points_per_batch
@@ -213,29 +224,20 @@ class SampleSource(Batches):
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
-        self.occluders = occluders
         self._occluders: dict[str, object] = {}
+        self._lines = lines
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
-            self._occluders = occluders.arguments
             if lines:
                 shaft, defines = ("shaft", *LINE_FILES), {**defines, **line_defines()}
-                self._occluders = {**occluders.arguments, **occluders.walked}
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
             self._occluders = slices.arguments
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
-        point_kernel = integrand.point_kernel(scene)
-        if point_kernel is not None:
-            self._program.kernel(point_kernel)(
-                points.active,
-                point_count=points.active,
-                total_points=points.total,
-                surface=points.surface,
-                integrand_data=self._data,
-            )
+        self._point_kernel = integrand.point_kernel(scene)
+        self._look_at_points(occluders)
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
         capacity = self._capacity
@@ -243,6 +245,25 @@ class SampleSource(Batches):
         self._directions = HostArray(device, (capacity, 3), np.float32)
         self._distances = HostArray(device, capacity, np.float32)
         self._ray_count = HostArray(device, 3, np.uint32)
+
+    def move_to(self, points: ShadingPoints, occluders: Occluders | None = None) -> None:
+        super().move_to(points)
+        self._look_at_points(occluders)
+
+    def _look_at_points(self, occluders: Occluders | None) -> None:
+        """Take what is known of the points beside their surface."""
+        points, self.occluders = self.points, occluders
+        if occluders is not None:
+            walked = occluders.walked if self._lines else {}
+            self._occluders = {**occluders.arguments, **walked}
+        if self._point_kernel is not None:
+            self._program.kernel(self._point_kernel)(
+                points.active,
+                point_count=points.active,
+                total_points=points.total,
+                surface=points.surface,
+                integrand_data=self._data,
+            )
 
     def unshadowed_means(self) -> HostArray:
         """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""

@@ -138,7 +138,7 @@ class Request:
     own : bytes
         A `TileData`.
     states : list of (ndarray, ndarray), optional
-        What the passes before have left, as `Accumulator.part` gives it.
+        What the passes before have left of each target, as `Accumulator.part` gives it.
     """
 
     spec: str

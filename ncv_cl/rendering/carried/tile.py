@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,6 +78,8 @@ class Bench:
         self.settings = Settings(
             integrand, spec.method, spec.spp, spec.size, spec.seed, spec.sampling, spec.training
         )
+        self._idle: list[Problem] = []
+        self._lock = threading.Lock()
         if scene is None:
             return
         self.tracer = Tracer(scene, worker_threads(spec.threads))
@@ -84,30 +87,38 @@ class Bench:
         self.hierarchy = Hierarchy(self.device, scene) if decided.most_occluders else None
         self.slices = Slices(self.device, scene) if decided.sliced else None
 
-    def problem(self, points: ShadingPoints, function: object) -> Problem:
-        """The problem of some points."""
-        spec, settings = self.spec, self.settings
+    @contextmanager
+    def problem(self, points: ShadingPoints, function: object, apart: bool) -> Iterator[Problem]:
+        """The problem of some points, or of their direct light apart; tasks take turns with memory."""
+        occluders = self._occluders(points) if apart == self.spec.decisions.split else None
+        with self._lock:
+            made = self._idle.pop() if self._idle else None
+        if made is None:
+            made = self._assembled(points, function)
+        source = made.apart.source if apart else made.source
+        source.move_to(points, occluders)
+        yield replace(made, points=points, source=source, apart=None, glow=None)
+        with self._lock:
+            self._idle.append(made)
+
+    def _assembled(self, points: ShadingPoints, function: object) -> Problem:
+        """A problem with what it needs of memory."""
+        spec, settings, decided = self.spec, self.settings, self.spec.decisions
         if self.scene is None:
-            source = CallableSource(
-                self.device,
-                points,
-                function,
-                settings.integrand.channels,
-                settings.sampling.sampler,
-                spec.seed,
-            )
+            channels, sampler = settings.integrand.channels, settings.sampling.sampler
+            source = CallableSource(self.device, points, function, channels, sampler, spec.seed)
             source.offset = spec.offset
             return Problem(self.device, points, source, np.zeros((2, 3)), ("position",), is_image=False)
-        occluders, decided = None, spec.decisions
-        if decided.most_occluders is not None:
-            room, kept = decided.most_occluders
-            occluders = Occluders(
-                self.device, self.scene, points, settings.integrand, room, self.hierarchy, kept
-            )
-        return assemble(
-            self.device, self.scene, self.tracer, settings, points, self.scene.world_bounds, occluders,
-            self.slices, decided.lines, decided.split,
-        )  # fmt: skip
+        common = (self.device, self.scene, self.tracer, settings, points, self.scene.world_bounds)
+        occluders = self._occluders(points)
+        return assemble(*common, occluders, self.slices, decided.lines, decided.split)
+
+    def _occluders(self, points: ShadingPoints) -> Occluders | None:
+        if self.spec.decisions.most_occluders is None:
+            return None
+        room, kept = self.spec.decisions.most_occluders
+        integrand = self.settings.integrand
+        return Occluders(self.device, self.scene, points, integrand, room, self.hierarchy, kept)
 
     def points(self, begin: int, own: TileData) -> ShadingPoints:
         """A task's shading points, the first of which is `begin` in the whole image."""
@@ -190,28 +201,25 @@ def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
     own = TileData.unpack(request.own)
     with watch("points"):
         points = bench.points(request.begin, own)
-        problem = bench.problem(points, function)
-    if estimate.apart:
-        problem = replace(problem, source=problem.apart.source, apart=None)
-        learned = Learned(None, None, None)
-    elif learned.guide is not None:
-        problem.source.use_guide(learned.guide)
-    with watch("fold"):
-        folded, density = _control_variate(problem, bench.settings, learned, own.alpha)
-    warp = None
-    if density is not None:
-        warp = warp_of(bench.device, bench.settings.residual_density, folded, density)
-    targets = _targets(problem, estimate, request, own, folded)
-    means: list[np.ndarray] = []
+    with bench.problem(points, function, estimate.apart) as problem:
+        folded = density = warp = None
+        if not estimate.apart:
+            if learned.guide is not None:
+                problem.source.use_guide(learned.guide)
+            with watch("fold"):
+                folded, density = _control_variate(problem, bench.settings, learned, own.alpha)
+        if density is not None:
+            warp = warp_of(bench.device, bench.settings.residual_density, folded, density)
+        targets = _targets(problem, estimate, request, own, folded)
+        means: list[np.ndarray] = []
 
-    def keep(done: int) -> None:
-        if done in request.wanted:
-            means.append(targets[0].accumulator.means())
+        def keep(done: int) -> None:
+            if done in request.wanted:
+                means.append(targets[0].accumulator.means())
 
-    passes = Passes(problem, targets, estimate.edges, warp, watch, keep)
-    passes.run("", first=request.first, last=request.last)
-    everything = range(points.active)
-    states = [one.accumulator.part(everything) for one in targets]
+        passes = Passes(problem, targets, estimate.edges, warp, watch, keep)
+        passes.run("", first=request.first, last=request.last)
+        states = [one.accumulator.state() for one in targets]
     return TileResult(
         device_line(bench.device),
         [(state, samples.astype(np.uint32)) for state, samples in states],
@@ -257,7 +265,8 @@ def _targets(
     targets = []
     for number, stream in enumerate(estimate.streams):
         allocation = whole if number == 0 else whole.restricted(twice, points.active)
-        accumulator = Accumulator(problem.device, points, problem.source.channels, folded)
+        chosen = None if number == 0 else twice
+        accumulator = Accumulator(problem.device, points, problem.source.channels, folded, chosen)
         if request.states is not None:
             accumulator.restore(*request.states[number])
         targets.append(Target(accumulator, allocation, stream))
