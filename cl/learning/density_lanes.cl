@@ -31,6 +31,7 @@ void tile_units(const uint lane, const uint first, const uint end, const uint st
     const uint j = k % DENSITY_HIDDEN;
     const uint t = k / DENSITY_HIDDEN;
     float sum = parameters[MAGNITUDE_UNIT_BIAS + j];
+#pragma unroll 4
     for (uint f = 0; f < FEATURES; ++f)
       sum = FMA(parameters[MAGNITUDE_UNITS + f * DENSITY_HIDDEN + j], x[f * TILE + t], sum);
     h[j * TILE + t] = max(sum, 0.0f);
@@ -44,6 +45,7 @@ void add_rows(const uint lane, local const float *h, local const int *cells, loc
   for (uint k = lane; k < DENSITY_HIDDEN * ROW_PARTS; k += GROUP_ITEMS) {
     const uint j = k % DENSITY_HIDDEN;
     const uint part = k / DENSITY_HIDDEN;
+#pragma unroll 1
     for (uint pair = 0; pair < PAIRS; ++pair) {
       const uint cell = (uint)cells[pair];
       if (cell % ROW_PARTS != part) continue;
@@ -97,6 +99,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_ITEMS, 1, 1))) void density_gra
       const int cell = cell_of(all_u[at], all_v[at]);
       global const float *restrict weights = parameters + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN;
       float z = parameters[MAGNITUDE_CELL_BIAS + cell];
+#pragma unroll 4
       for (uint j = 0; j < DENSITY_HIDDEN; ++j) z = FMA(weights[j], h[j * TILE + t], z);
       const float e = exp(clamp(z, -LOG_LIMIT, LOG_LIMIT));
       /* Beyond the limit only gradients that lead back are used. */
@@ -109,6 +112,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_ITEMS, 1, 1))) void density_gra
       const uint j = k % DENSITY_HIDDEN;
       const uint t = k / DENSITY_HIDDEN;
       float sum = 0.0f;
+#pragma unroll 4
       for (uint pair = t; pair < PAIRS; pair += TILE)
         sum = FMA(deltas[pair], parameters[MAGNITUDE_ROWS + cells[pair] * DENSITY_HIDDEN + (int)j], sum);
       delta_h[j * TILE + t] = h[j * TILE + t] > 0.0f ? sum : 0.0f;
