@@ -36,9 +36,9 @@
 #define PAIR_LOSS (PAIR_ONE + 1)
 #define PAIR_ROWS (PAIR_LOSS + 1)
 
-/* Element i of a group of weights of column t: by the heads, or a base. `parameters` and `theta` are in scope. */
-#define WEIGHT(group, i, t)                           \
-  ((group) < HEAD_ROWS ? theta[((group) + (i)) * TILE + (t)] \
+/* Element i of a group of weights: by the heads, or a base. `parameters`, and `theta` at a column, are in scope. */
+#define WEIGHT(group, i)                               \
+  ((group) < HEAD_ROWS ? theta[((group) + (i)) * TILE] \
                        : parameters[PARAMETER_BASES + (group) - HEAD_ROWS + (i)])
 
 /* Features of the tile's columns, the last before `end` repeated. */
@@ -80,9 +80,9 @@ void tile_theta(const uint lane, global const float *restrict parameters, local 
   }
 }
 
-/* One sample of column t, forward and backward; `own` are the pair's rows, of which U, V and ONE are set, and D3 to
- * the targets. `weights` point at the column, a plane of `stride` a channel. */
-void pair_gradient(const uint t, global const float *restrict weights, const uint stride,
+/* One sample, forward and backward; `own` are the pair's rows, of which U, V and ONE are set, and D3 to the targets.
+ * `theta` and `weights`, a plane of `stride` a channel, point at the column. */
+void pair_gradient(global const float *restrict weights, const uint stride,
                    global const float *restrict parameters, local const float *theta, local float *own) {
   const float u = own[PAIR_U * PAIR_STRIDE], v = own[PAIR_V * PAIR_STRIDE];
   float h1[HIDDEN1];
@@ -90,30 +90,30 @@ void pair_gradient(const uint t, global const float *restrict weights, const uin
   float delta3[CHANNELS];
 #pragma unroll
   for (int i = 0; i < HIDDEN1; ++i) {
-    h1[i] = max(FMA(WEIGHT(ROW_W1, 2 * i, t), u, FMA(WEIGHT(ROW_W1, 2 * i + 1, t), v, WEIGHT(ROW_B1, i, t))), 0.0f);
+    h1[i] = max(FMA(WEIGHT(ROW_W1, 2 * i), u, FMA(WEIGHT(ROW_W1, 2 * i + 1), v, WEIGHT(ROW_B1, i))), 0.0f);
     own[(PAIR_H1 + i) * PAIR_STRIDE] = h1[i];
     delta1[i] = 0.0f;
   }
 #pragma unroll
-  for (int c = 0; c < CHANNELS; ++c) delta3[c] = WEIGHT(ROW_B3, c, t);
+  for (int c = 0; c < CHANNELS; ++c) delta3[c] = WEIGHT(ROW_B3, c);
 #pragma unroll 1
   for (int j = 0; j < HIDDEN2; j += NEURON_BLOCK) {
     float z[NEURON_BLOCK];
 #pragma unroll
     for (int k = 0; k < NEURON_BLOCK; ++k) {
-      z[k] = WEIGHT(ROW_B2, j + k, t);
+      z[k] = WEIGHT(ROW_B2, j + k);
 #pragma unroll
       for (int i = 0; i < HIDDEN1; ++i) z[k] = FMA(parameters[(j + k) * W2_STRIDE + i], h1[i], z[k]);
       z[k] = max(z[k], 0.0f);
       own[(PAIR_H2 + j + k) * PAIR_STRIDE] = z[k];
 #pragma unroll
-      for (int c = 0; c < CHANNELS; ++c) delta3[c] = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j + k, t), z[k], delta3[c]);
+      for (int c = 0; c < CHANNELS; ++c) delta3[c] = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j + k), z[k], delta3[c]);
     }
   }
   float loss = 0.0f;
 #pragma unroll
   for (int c = 0; c < CHANNELS; ++c) {
-    const float weight = weights[c * (ulong)stride];
+    const float weight = weights[(uint)c * (ulong)stride];
     const float error = weight * (delta3[c] - own[(PAIR_D3 + c) * PAIR_STRIDE]);
     loss = FMA(error, error, loss);
     delta3[c] = 2.0f * weight * error;
@@ -124,7 +124,7 @@ void pair_gradient(const uint t, global const float *restrict weights, const uin
   for (int j = 0; j < HIDDEN2; ++j) {
     float delta = 0.0f;
 #pragma unroll
-    for (int c = 0; c < CHANNELS; ++c) delta = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j, t), delta3[c], delta);
+    for (int c = 0; c < CHANNELS; ++c) delta = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j), delta3[c], delta);
     delta = own[(PAIR_H2 + j) * PAIR_STRIDE] > 0.0f ? delta : 0.0f;
     own[(PAIR_D2 + j) * PAIR_STRIDE] = delta;
 #pragma unroll
@@ -231,7 +231,7 @@ kernel __attribute__((reqd_work_group_size(GROUP_ITEMS, 1, 1))) void gradients(
       pairs[PAIR_U * PAIR_STRIDE + pair] = all_u[row + place];
       pairs[PAIR_V * PAIR_STRIDE + pair] = all_v[row + place];
       pairs[PAIR_ONE * PAIR_STRIDE + pair] = 1.0f;
-      pair_gradient(pair % TILE, weights + place, stride, parameters, theta, pairs + pair);
+      pair_gradient(weights + place, stride, parameters, theta + pair % TILE, pairs + pair);
       /* Columns past the end count for nothing: all that they are multiplied by is zero. */
       if (column >= end)
         for (uint r = 0; r < PAIR_ROWS; ++r) pairs[r * PAIR_STRIDE + pair] = 0.0f;
