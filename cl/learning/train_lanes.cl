@@ -36,6 +36,15 @@
 #define PAIR_LOSS (PAIR_ONE + 1)
 #define PAIR_ROWS (PAIR_LOSS + 1)
 
+/* Second-layer neurons computed side by side: few, as their weights are loaded ahead into registers. */
+#if HIDDEN2 % 4 == 0
+#define PAIR_BLOCK 4
+#elif HIDDEN2 % 2 == 0
+#define PAIR_BLOCK 2
+#else
+#define PAIR_BLOCK 1
+#endif
+
 /* Element i of a group of weights: by the heads, or a base. `parameters`, and `theta` at a column, are in scope. */
 #define WEIGHT(group, i)                               \
   ((group) < HEAD_ROWS ? theta[((group) + (i)) * TILE] \
@@ -97,10 +106,10 @@ void pair_gradient(global const float *restrict weights, const uint stride,
 #pragma unroll
   for (int c = 0; c < CHANNELS; ++c) delta3[c] = WEIGHT(ROW_B3, c);
 #pragma unroll 1
-  for (int j = 0; j < HIDDEN2; j += NEURON_BLOCK) {
-    float z[NEURON_BLOCK];
+  for (int j = 0; j < HIDDEN2; j += PAIR_BLOCK) {
+    float z[PAIR_BLOCK];
 #pragma unroll
-    for (int k = 0; k < NEURON_BLOCK; ++k) {
+    for (int k = 0; k < PAIR_BLOCK; ++k) {
       z[k] = WEIGHT(ROW_B2, j + k);
 #pragma unroll
       for (int i = 0; i < HIDDEN1; ++i) z[k] = FMA(parameters[(j + k) * W2_STRIDE + i], h1[i], z[k]);

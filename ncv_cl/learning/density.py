@@ -234,7 +234,7 @@ def tabulate(
 
 
 def _by_groups(device: Device, settings: DensitySettings) -> bool:
-    """Whether groups share columns (density_lanes.cl): on GPUs, if local memory holds all cells' rows."""
+    """Whether groups share columns (density_lanes.cl): on GPUs, if local memory holds all rows."""
     rows_bytes = 4 * DENSITY_CELLS * settings.hidden
     by_lanes = device.lanes > 1 and device.vector_width == 1
     return by_lanes and rows_bytes <= GPU_LOCAL_BYTES // 2
