@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import ncv_cl as ncv
@@ -48,17 +49,21 @@ def test_larger_minibatches_leave_no_more_of_the_residual(one_device, scenes, mo
     device = open_device(one_device.cl_device, one_device.index, 1, 32)
     # Two rounds.
     monkeypatch.setattr(tuning, "FIRST_ROUND", 1 << 15)
-    left = []
-    for units in (1, 64):
+
+    def held_out(units, seed):
         monkeypatch.setattr(
-            learn, "batch_growth", lambda _, *about, units=units: batch_growth(pretended(units), *about)
+            learn, "batch_growth", lambda _, *about: batch_growth(pretended(units), *about)
         )
-        image = ncv.render(
-            scenes / "cornell_box.toml", "direct", "ncv",
-            device=device, size=(56, 56), spp=96, seed=3, train_spp="auto",
-        )  # fmt: skip
-        left.append(image.stats["training"])
-    base, large = left
-    assert large["epochs"] == 4 * base["epochs"] and len(base["held_out"]) == len(large["held_out"]) == 2
-    for plain, found in zip(base["held_out"], large["held_out"], strict=True):
-        assert 0 < found <= 1.03 * plain < 1
+        options = {"device": device, "size": (56, 56), "spp": 96, "seed": seed, "train_spp": "auto"}
+        image = ncv.render(scenes / "cornell_box.toml", "direct", "ncv", **options)
+        training = image.stats["training"]
+        assert len(training["held_out"]) == 2
+        return training["epochs"], np.array(training["held_out"])
+
+    ratios = []
+    for seed in (3, 4):
+        (epochs, plain), (more, large) = held_out(1, seed), held_out(64, seed)
+        assert more == 4 * epochs
+        ratios.append(large / plain)
+    # One seed's network has up to a third more or less of it than another's.
+    assert 0 < np.mean(ratios) <= 1.03

@@ -11,7 +11,7 @@
  * more than there are pairs, so that neighbouring rows lie in different banks: PAIR_H1 and PAIR_H2, the activations;
  * PAIR_D1, PAIR_D2, PAIR_D3, gradients by what is activated; PAIR_U, PAIR_V, PAIR_ONE; PAIR_LOSS. Each gradient by a
  * row of theta is a sum over pairs of the product of two of these (row_factors). Private arrays are indexed by
- * unrolled loops only.
+ * unrolled loops only; other loops are unrolled by four at most, or loads ahead of time take all registers.
  *
  * Every sum is taken by one work-item in a fixed order, and each group owns one row of `partial`.
  *
@@ -36,9 +36,18 @@
 #define PAIR_LOSS (PAIR_ONE + 1)
 #define PAIR_ROWS (PAIR_LOSS + 1)
 
-/* Element i of a group of weights of column t: by the heads, or a base. `parameters` and `theta` are in scope. */
-#define WEIGHT(group, i, t)                           \
-  ((group) < HEAD_ROWS ? theta[((group) + (i)) * TILE + (t)] \
+/* Second-layer neurons computed side by side: few, as their weights are loaded ahead into registers. */
+#if HIDDEN2 % 4 == 0
+#define PAIR_BLOCK 4
+#elif HIDDEN2 % 2 == 0
+#define PAIR_BLOCK 2
+#else
+#define PAIR_BLOCK 1
+#endif
+
+/* Element i of a group of weights: by the heads, or a base. `parameters`, and `theta` at a column, are in scope. */
+#define WEIGHT(group, i)                               \
+  ((group) < HEAD_ROWS ? theta[((group) + (i)) * TILE] \
                        : parameters[PARAMETER_BASES + (group) - HEAD_ROWS + (i)])
 
 /* Features of the tile's columns, the last before `end` repeated. */
@@ -74,13 +83,15 @@ void tile_theta(const uint lane, global const float *restrict parameters, local 
   for (uint k = lane; k < HEAD_ROWS * TILE; k += GROUP_ITEMS) {
     global const float *restrict head = parameters + PARAMETER_HEADS + k / TILE * FEATURE_FLOATS;
     float sum = head[FEATURES];
+#pragma unroll 4
     for (uint f = 0; f < FEATURES; ++f) sum = FMA(head[f], feature[f * TILE + k % TILE], sum);
     theta[k] = sum;
   }
 }
 
-/* One sample of column t, forward and backward; `own` are the pair's rows, of which U, V and ONE are set. */
-void pair_gradient(const uint t, const float target[CHANNELS], const float weight[CHANNELS],
+/* One sample, forward and backward; `own` are the pair's rows, of which U, V and ONE are set, and D3 to the targets.
+ * `theta` and `weights`, a plane of `stride` a channel, point at the column. */
+void pair_gradient(global const float *restrict weights, const uint stride,
                    global const float *restrict parameters, local const float *theta, local float *own) {
   const float u = own[PAIR_U * PAIR_STRIDE], v = own[PAIR_V * PAIR_STRIDE];
   float h1[HIDDEN1];
@@ -88,32 +99,33 @@ void pair_gradient(const uint t, const float target[CHANNELS], const float weigh
   float delta3[CHANNELS];
 #pragma unroll
   for (int i = 0; i < HIDDEN1; ++i) {
-    h1[i] = max(FMA(WEIGHT(ROW_W1, 2 * i, t), u, FMA(WEIGHT(ROW_W1, 2 * i + 1, t), v, WEIGHT(ROW_B1, i, t))), 0.0f);
+    h1[i] = max(FMA(WEIGHT(ROW_W1, 2 * i), u, FMA(WEIGHT(ROW_W1, 2 * i + 1), v, WEIGHT(ROW_B1, i))), 0.0f);
     own[(PAIR_H1 + i) * PAIR_STRIDE] = h1[i];
     delta1[i] = 0.0f;
   }
 #pragma unroll
-  for (int c = 0; c < CHANNELS; ++c) delta3[c] = WEIGHT(ROW_B3, c, t);
+  for (int c = 0; c < CHANNELS; ++c) delta3[c] = WEIGHT(ROW_B3, c);
 #pragma unroll 1
-  for (int j = 0; j < HIDDEN2; j += NEURON_BLOCK) {
-    float z[NEURON_BLOCK];
+  for (int j = 0; j < HIDDEN2; j += PAIR_BLOCK) {
+    float z[PAIR_BLOCK];
 #pragma unroll
-    for (int k = 0; k < NEURON_BLOCK; ++k) {
-      z[k] = WEIGHT(ROW_B2, j + k, t);
+    for (int k = 0; k < PAIR_BLOCK; ++k) {
+      z[k] = WEIGHT(ROW_B2, j + k);
 #pragma unroll
       for (int i = 0; i < HIDDEN1; ++i) z[k] = FMA(parameters[(j + k) * W2_STRIDE + i], h1[i], z[k]);
       z[k] = max(z[k], 0.0f);
       own[(PAIR_H2 + j + k) * PAIR_STRIDE] = z[k];
 #pragma unroll
-      for (int c = 0; c < CHANNELS; ++c) delta3[c] = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j + k, t), z[k], delta3[c]);
+      for (int c = 0; c < CHANNELS; ++c) delta3[c] = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j + k), z[k], delta3[c]);
     }
   }
   float loss = 0.0f;
 #pragma unroll
   for (int c = 0; c < CHANNELS; ++c) {
-    const float error = weight[c] * (delta3[c] - target[c]);
+    const float weight = weights[(uint)c * (ulong)stride];
+    const float error = weight * (delta3[c] - own[(PAIR_D3 + c) * PAIR_STRIDE]);
     loss = FMA(error, error, loss);
-    delta3[c] = 2.0f * weight[c] * error;
+    delta3[c] = 2.0f * weight * error;
     own[(PAIR_D3 + c) * PAIR_STRIDE] = delta3[c];
   }
   own[PAIR_LOSS * PAIR_STRIDE] = loss;
@@ -121,7 +133,7 @@ void pair_gradient(const uint t, const float target[CHANNELS], const float weigh
   for (int j = 0; j < HIDDEN2; ++j) {
     float delta = 0.0f;
 #pragma unroll
-    for (int c = 0; c < CHANNELS; ++c) delta = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j, t), delta3[c], delta);
+    for (int c = 0; c < CHANNELS; ++c) delta = FMA(WEIGHT(ROW_W3, c * HIDDEN2 + j), delta3[c], delta);
     delta = own[(PAIR_H2 + j) * PAIR_STRIDE] > 0.0f ? delta : 0.0f;
     own[(PAIR_D2 + j) * PAIR_STRIDE] = delta;
 #pragma unroll
@@ -145,6 +157,7 @@ int2 row_factors(const int row) {
 /* Sum over pairs first, first + step, ... of the product of two rows. */
 float sum_products(local const float *pairs, const int2 rows, const uint first, const uint step) {
   float sum = 0.0f;
+#pragma unroll 4
   for (uint p = first; p < PAIRS; p += step)
     sum = FMA(pairs[rows.x * PAIR_STRIDE + (int)p], pairs[rows.y * PAIR_STRIDE + (int)p], sum);
   return sum;
@@ -184,6 +197,7 @@ void grid_rows_gradient(const uint lane, const uint columns, const float scale,
   for (uint k = lane; k < columns * GRID_ROWS; k += GROUP_ITEMS) {
     global const float *restrict head = parameters + PARAMETER_HEADS + k % GRID_ROWS;
     float sum = 0.0f;
+#pragma unroll 4
     for (uint row = 0; row < HEAD_ROWS; ++row)
       sum = FMA(head[row * FEATURE_FLOATS], delta_theta[row * TILE + k / GRID_ROWS], sum);
     grid_gradient[k] = sum * scale;
@@ -215,22 +229,21 @@ kernel __attribute__((reqd_work_group_size(GROUP_ITEMS, 1, 1))) void gradients(
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint pair = lane; pair < PAIRS; pair += GROUP_ITEMS) {
       const uint column = first + pair % TILE;
-      /* Columns past the end weigh nothing. */
       const uint place = min(column, end - 1);
       const ulong row = (sample + pair / TILE) * (ulong)stride;
-      float target[CHANNELS];
-      float weight[CHANNELS];
-#pragma unroll
       for (uint c = 0; c < CHANNELS; ++c) {
         const float scale = factor[c * (ulong)stride + place];
         const float inverse = scale > 0.0f ? 1.0f / scale : 0.0f;
-        target[c] = inverse * all_targets[row * CHANNELS + c * (ulong)stride + place];
-        weight[c] = column < end ? weights[c * (ulong)stride + place] : 0.0f;
+        pairs[(PAIR_D3 + c) * PAIR_STRIDE + pair] =
+            inverse * all_targets[row * CHANNELS + c * (ulong)stride + place];
       }
       pairs[PAIR_U * PAIR_STRIDE + pair] = all_u[row + place];
       pairs[PAIR_V * PAIR_STRIDE + pair] = all_v[row + place];
       pairs[PAIR_ONE * PAIR_STRIDE + pair] = 1.0f;
-      pair_gradient(pair % TILE, target, weight, parameters, theta, pairs + pair);
+      pair_gradient(weights + place, stride, parameters, theta + pair % TILE, pairs + pair);
+      /* Columns past the end count for nothing: all that they are multiplied by is zero. */
+      if (column >= end)
+        for (uint r = 0; r < PAIR_ROWS; ++r) pairs[r * PAIR_STRIDE + pair] = 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (uint k = lane; k < HEAD_ROWS * TILE; k += GROUP_ITEMS)

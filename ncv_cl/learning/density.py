@@ -26,9 +26,10 @@ from . import tuning
 from .train import TrainingSamples
 
 # Work-groups of a gradient step at most; fixed, so that the order of additions does not depend on the
-# device. On GPUs, a work-item a sample of the default's steps, the groups and the columns of each.
+# device. On GPUs, a work-item a sample of the default's steps, the groups and the columns of each; and
+# the points of a group that tabulates, a work-item a strip.
 GRADIENT_GROUPS = 16
-GPU_GROUPS, GPU_COLUMNS = 64, 4
+GPU_GROUPS, GPU_COLUMNS, GPU_POINTS = 64, 4, 8
 DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
@@ -198,7 +199,13 @@ def tabulate(
     unit : ndarray, optional
         float32 (points.active,), each point's scale, as the trainer was given it.
     """
-    program = build(device, ("common", "warp", "density"), density.settings.defines(network.description))
+    defines = density.settings.defines(network.description)
+    if _by_groups(device, density.settings):
+        defines |= {"TILE": GPU_POINTS, "GROUP_ITEMS": GROUP_SIZE}
+        file, items = "density_lanes", GROUP_SIZE / GPU_POINTS
+    else:
+        file, items = "density_tables", 1 / device.vector_width
+    program = build(device, ("common", "warp", "density", file), defines)
     table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
@@ -212,7 +219,7 @@ def tabulate(
         encoder = Encoder(device, network.description.encoding, points, network.cube, order)
         encoder.encode_grid(entries)
         program.kernel("density_tables")(
-            -(-count // device.vector_width),
+            math.ceil(count * items),
             count=count,
             stride=encoder.stride,
             first_point=first,
@@ -224,6 +231,13 @@ def tabulate(
     scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
     magnitudes = magnitude.read().astype(np.float64) * scale
     return Density(table, magnitudes, density.settings.uniform_share)
+
+
+def _by_groups(device: Device, settings: DensitySettings) -> bool:
+    """Whether groups share columns (density_lanes.cl): on GPUs, if local memory holds all rows."""
+    rows_bytes = 4 * DENSITY_CELLS * settings.hidden
+    by_lanes = device.lanes > 1 and device.vector_width == 1
+    return by_lanes and rows_bytes <= GPU_LOCAL_BYTES // 2
 
 
 class DensityTrainer:
@@ -255,10 +269,7 @@ class DensityTrainer:
         mean, deviation = features.mean(1, dtype=np.float64), features.std(1, dtype=np.float64)
         scale = np.where(deviation > 0, 1 / np.maximum(deviation, 1e-30), 0.0)
         self._mean, self._scale = (HostArray.of(device, a.astype(np.float32)) for a in (mean, scale))
-        # Whether a work-item takes a sample, or a vector of hidden units.
-        rows_bytes = 4 * DENSITY_CELLS * self.settings.hidden
-        by_lanes = device.lanes > 1 and device.vector_width == 1
-        self._by_samples = by_lanes and rows_bytes <= GPU_LOCAL_BYTES // 2
+        self._by_samples = _by_groups(device, self.settings)
         self._program = self._build()
         self._squared = self._squared_residuals(unit)
         with self._squared.mapped() as squared:

@@ -15,8 +15,7 @@ from . import tuning
 CPU_IDLE_GROUPS = 2
 # Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
 PARTIAL_SUMS = 64
-# Bytes of a group's local memory on a GPU at most: two find room in the 64 KiB that a compute unit has at
-# least.
+# Bytes of a group's local memory on a GPU at most: two find room in the 64 KiB that a compute unit has.
 GPU_STEP_BYTES = 2 * GPU_LOCAL_BYTES // 3
 
 
