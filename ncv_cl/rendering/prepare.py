@@ -18,9 +18,11 @@ from ..sampling.problem import Apart, Problem
 from ..sampling.samples import SAMPLES_A_PASS, SampleSource
 from ..scene.load import Scene
 from ..settings.settings import Settings
+from ..visibility.hierarchy import Hierarchy
 from ..visibility.lines import lines_pay
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import SliceChoice, Slices, boxes_pay, slices_for
+from ..visibility.trace import DeviceTracer
 from ..visibility.tuning import MOST_LIGHTS, MOST_ON_LINES
 
 # Points that are farther out of a scene's bounds than this part of its extent widen them.
@@ -70,6 +72,7 @@ def prepare(
         )
     with watch("scene"):
         tracer = Tracer(scene, threads)
+        hierarchy = Hierarchy(device, scene) if _traces_on_device(device, scene, settings) else None
     with watch("points"):
         points = _points(device, scene, tracer, settings, given)
         points = _without_dark(scene, settings, points)
@@ -77,23 +80,25 @@ def prepare(
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene) and is_near
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
-            occluders, lines = _occluders(device, scene, settings, points)
+            occluders, lines = _occluders(device, scene, settings, points, hierarchy)
     slices, choice = None, None
     if integrand.promises("sliced") and points.active and is_near:
         with watch("slices"):
-            slices, choice = _slices(device, scene, settings, points)
+            slices, choice = _slices(device, scene, settings, points, hierarchy)
+    # Whoever found the points.
+    rays = tracer if hierarchy is None else DeviceTracer(device, hierarchy)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
     apart, rest = None, integrand
     split, lit = _split(scene, settings, points, lines)
     if split is not None:
         direct, rest = split
-        own = SampleSource(device, scene, tracer, points, direct, *common, occluders, lines=lines)
+        own = SampleSource(device, scene, rays, points, direct, *common, occluders, lines=lines)
         # Paths have no rays to test then.
         apart, occluders = Apart(own, lit), None
     source = sample_source(
         device,
         scene,
-        tracer,
+        rays,
         points,
         rest,
         *common,
@@ -117,6 +122,19 @@ def prepare(
         apart=apart,
         slices=choice,
     )
+
+
+def _traces_on_device(device: Device, scene: Scene, settings: Settings) -> bool:
+    """Whether kernels trace the rays of samples and paths, as option `rays` has it."""
+    sampling = settings.sampling
+    if sampling.rays == "device" and scene.has_holes:
+        raise ValueError(
+            f"{scene.name}: rays 'device' take triangles for whole, but textures make holes in some; "
+            "take 'auto'"
+        )
+    if sampling.rays == "auto":
+        return device.is_gpu and sampling.visibility != "embree" and not scene.has_holes
+    return sampling.rays == "device"
 
 
 def _points(
@@ -150,15 +168,18 @@ def _bounds(scene: Scene, given: PointArrays | None) -> np.ndarray:
 
 
 def _occluders(
-    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+    device: Device,
+    scene: Scene,
+    settings: Settings,
+    points: ShadingPoints,
+    hierarchy: Hierarchy | None,
 ) -> tuple[Occluders, bool]:
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
-    hierarchy = None
     splits = integrand.apart(scene) is not None and settings.sampling.split_direct != "off"
     if (integrand.promises("along_lines") or splits) and visibility in ("auto", "lines"):
         samples = direct_samples(settings.spp) if splits else settings.spp
-        occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES)
+        occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES, hierarchy)
         if visibility == "lines" or lines_pay(occluders.mean_count, samples):
             return occluders, True
         hierarchy = occluders.hierarchy
@@ -183,7 +204,11 @@ def _split(
 
 
 def _slices(
-    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+    device: Device,
+    scene: Scene,
+    settings: Settings,
+    points: ShadingPoints,
+    hierarchy: Hierarchy | None,
 ) -> tuple[Slices | None, SliceChoice | None]:
     """Boxes to find slices in, if these are to be taken; and of "auto", how many, if it looked.
 
@@ -191,13 +216,13 @@ def _slices(
     """
     sampling, spp = settings.sampling, settings.spp
     if sampling.visibility == "lines":
-        return Slices(device, scene), None
+        return Slices(device, scene, hierarchy), None
     by_network = settings.method == "ncv" or settings.training.network is not None
     if sampling.visibility != "auto" or by_network or scene.has_holes:
         return None, None
     if not boxes_pay(len(scene.triangles), points.active, spp):
         return None, None
-    slices = Slices(device, scene)
+    slices = Slices(device, scene, hierarchy)
     cost = slices.cost(points, float(settings.integrand.data(scene)[0]))
     choice = SliceChoice(slices_for(spp, cost, sampling.sampler), cost)
     return (slices if choice.number else None), choice
