@@ -82,30 +82,32 @@ uint pop_waiting(Waiting *above) {
   return own;
 }
 
-float along_axis(const float3 v, const uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+/* The coordinate along an axis, by values: compilers may put a vector into memory to choose from it. */
+float along_axis(const uint axis, const float x, const float y, const float z) {
+  return axis == 0 ? x : axis == 1 ? y : z;
+}
 
 TracedRay traced_ray(const Tree *tree, const float3 origin, const float3 direction) {
   TracedRay ray;
   const float3 size = fabs(direction);
-  const float3 slope = copysign(fmax(size, (float3)(LEAST_SLOPE)), direction);
-  ray.inverse = 1.0f / slope;
-  const float3 from = fabs(origin);
-  const float margin = TRACE_SLACK * (tree->extent + fmax(from.x, fmax(from.y, from.z)));
-  const float3 moved = copysign((float3)(margin), direction);
-  ray.near_origin = origin + moved;
-  ray.far_origin = origin - moved;
-  const uint3 turned = (uint3)(slope.x > 0.0f ? 0u : 3u, slope.y > 0.0f ? 0u : 3u, slope.z > 0.0f ? 0u : 3u);
+  const float3 way = (float3)(direction.x < 0.0f ? -1.0f : 1.0f, direction.y < 0.0f ? -1.0f : 1.0f,
+                              direction.z < 0.0f ? -1.0f : 1.0f);
+  ray.inverse = way / fmax(size, (float3)(LEAST_SLOPE));
+  const float3 margin = TRACE_SLACK * (tree->extent + fmax(fabs(origin.x), fmax(fabs(origin.y), fabs(origin.z)))) * way;
+  ray.near_origin = origin + margin;
+  ray.far_origin = origin - margin;
+  const uint3 turned = (uint3)(way.x < 0.0f ? 3u : 0u, way.y < 0.0f ? 3u : 0u, way.z < 0.0f ? 3u : 0u);
   ray.near_row = ((uint3)(0u, 1u, 2u) + turned) * CHILDREN;
   ray.far_row = ((uint3)(3u, 4u, 5u) - turned) * CHILDREN;
   ray.z_axis = size.x > size.y ? (size.x > size.z ? 0u : 2u) : (size.y > size.z ? 1u : 2u);
   ray.x_axis = ray.z_axis == 2u ? 0u : ray.z_axis + 1u;
   ray.y_axis = ray.x_axis == 2u ? 0u : ray.x_axis + 1u;
-  ray.x_origin = along_axis(origin, ray.x_axis);
-  ray.y_origin = along_axis(origin, ray.y_axis);
-  ray.z_origin = along_axis(origin, ray.z_axis);
-  ray.z_shear = 1.0f / along_axis(direction, ray.z_axis);
-  ray.x_shear = -along_axis(direction, ray.x_axis) * ray.z_shear;
-  ray.y_shear = -along_axis(direction, ray.y_axis) * ray.z_shear;
+  ray.x_origin = along_axis(ray.x_axis, origin.x, origin.y, origin.z);
+  ray.y_origin = along_axis(ray.y_axis, origin.x, origin.y, origin.z);
+  ray.z_origin = along_axis(ray.z_axis, origin.x, origin.y, origin.z);
+  ray.z_shear = 1.0f / along_axis(ray.z_axis, direction.x, direction.y, direction.z);
+  ray.x_shear = -along_axis(ray.x_axis, direction.x, direction.y, direction.z) * ray.z_shear;
+  ray.y_shear = -along_axis(ray.y_axis, direction.x, direction.y, direction.z) * ray.z_shear;
   return ray;
 }
 
