@@ -25,12 +25,16 @@
 #define NODE_FLOATS (6 * CHILDREN)
 #define LEAF_FLOATS (9 * CHILDREN)
 #define ALL_CHILDREN ((1u << CHILDREN) - 1u)
-#define LEVELS_A_WORD (64 / CHILDREN)
+/* What a word holds of a walk. */
+#define WORD_BITS 64
+#define LEVELS_A_WORD (WORD_BITS / CHILDREN)
 /* What rounding may move a triangle by, of the largest coordinate from the ray's origin, and a distance by, of itself:
  * sixteen roundings, where some ten are made. */
 #define TRACE_SLACK 0x1.0p-20f
 /* Directions are taken for at least so much along each axis, or distances would be infinite over infinite. */
 #define LEAST_SLOPE 1e-18f
+
+typedef ulong word;
 
 /* Boxes of boxes of triangles. */
 typedef struct {
@@ -59,15 +63,15 @@ typedef struct {
 
 /* Which boxes of the nodes above still wait, the nearest node's last. */
 typedef struct {
-  ulong last;
+  word last;
 #if BOX_LEVELS > LEVELS_A_WORD + 1
-  ulong first;
+  word first;
 #endif
 } Waiting;
 
 void push_waiting(Waiting *above, const uint own) {
 #if BOX_LEVELS > LEVELS_A_WORD + 1
-  above->first = above->first << CHILDREN | above->last >> (64 - CHILDREN);
+  above->first = above->first << CHILDREN | above->last >> (WORD_BITS - CHILDREN);
 #endif
   above->last = above->last << CHILDREN | own;
 }
@@ -76,7 +80,7 @@ uint pop_waiting(Waiting *above) {
   const uint own = (uint)above->last & ALL_CHILDREN;
   above->last >>= CHILDREN;
 #if BOX_LEVELS > LEVELS_A_WORD + 1
-  above->last |= above->first << (64 - CHILDREN);
+  above->last |= above->first << (WORD_BITS - CHILDREN);
   above->first >>= CHILDREN;
 #endif
   return own;
