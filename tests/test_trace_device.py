@@ -23,9 +23,10 @@ from ncv_cl.visibility.trace import DeviceTracer
 
 KERNEL = """
 kernel void trace(const uint count, const float extent, global const uint *levels,
-                  global const float *boxes, global const float *triangles, global const uint *numbers, global const float *origins,
-                  global const float *directions, global const float *farthest, global int *triangle,
-                  global float *found, global uchar *blocked) {
+                  global const float *boxes, global const float *triangles, global const uint *numbers,
+                  global const float *origins, global const float *directions,
+                  global const float *farthest, global int *triangle, global float *found,
+                  global uchar *blocked) {
   const uint ray = (uint)get_global_id(0);
   if (ray >= count) return;
   const Tree tree = {levels, boxes, triangles, extent};
@@ -35,6 +36,13 @@ kernel void trace(const uint count, const float extent, global const uint *level
   triangle[ray] = met.place < 0 ? -1 : (int)numbers[met.place];
   vstore3((float3)(met.u, met.v, met.distance), ray, found);
   blocked[ray] = is_blocked(&tree, origin, direction, farthest[ray]) ? 1 : 0;
+}
+"""
+DIFFERENCES = """
+kernel void differences(global const float *numbers, global float *result) {
+  const uint at = (uint)get_global_id(0) * VEC;
+  STORE(signed_difference(LOAD(numbers + at), LOAD(numbers + COUNT + at), LOAD(numbers + 2 * COUNT + at),
+                          LOAD(numbers + 3 * COUNT + at)), result + at);
 }
 """
 # Of an edge or a corner, in barycentric coordinates, and of a distance: within what rounding may move.
@@ -150,6 +158,23 @@ def test_hits_are_those_of_double_precision(device, count, place, scale, seed):
     met = sure & (triangle >= 0)
     error = np.abs(distance / smaller[3] - 1)[met]
     assert not met.any() or (np.median(error) < 1e-4 and np.mean(error > 1e-2) < 0.01)
+
+
+def test_signs_of_differences_are_exact(device):
+    """Of products that differ by less than their rounding, too, which decides between two neighbours."""
+    count = 1 << 14
+    a, b = np.random.default_rng(6).uniform(1, 2, (2, count)).astype(np.float32)
+    c, d = np.nextafter(a, np.float32(3)), np.nextafter(b, np.float32(0))
+    c[::3], d[::3] = b[::3], a[::3]
+    signs = np.sign(a.astype(np.float64) * b - c.astype(np.float64) * d)
+    rounded = np.sign(a * b - c * d)
+    assert np.mean(rounded != signs) > 0.1 and (signs == 0).any()
+    defines = {"CHILDREN": "16u", "BOX_LEVELS": "1u", "COUNT": count}
+    kernel = bare_kernel(device, ("common", "trace"), defines, DIFFERENCES, "differences")
+    result = HostArray(device, count, np.float32)
+    numbers = HostArray.of(device, np.array([a, b, c, d]))
+    kernel(count // device.vector_width, numbers=numbers, result=result)
+    np.testing.assert_array_equal(np.sign(result.read()), signs)
 
 
 def closed_shapes():
