@@ -122,13 +122,12 @@ def render_everything(device: Device, folder: Path) -> None:
     render(scene, "ao", "ncv", density="subdivision", **options)
     for sampler, density in zip(SAMPLERS, ("subdivision", "table"), strict=True):
         render(scene, "ao", "ncv", sampler=sampler, density=density, visibility="lines", **options)
+    # Rays by kernels, those of paths too, of more triangles than are tested one by one.
+    scene.write_text(MATTE + GLOWING[GLOWING.index("[[spheres]]") :], encoding="utf-8")
+    render(scene, GlobalIllumination(3), "mc", rays="device", spp=2, size=(4, 4), device=device)
     for text, density in ((MATTE, "subdivision"), (GLOSSY, "table")):
         scene.write_text(text, encoding="utf-8")
         render(scene, "direct", "ncv", density=density, visibility="lines", **options)
-    # Rays by kernels, those of paths too, of more triangles than are tested one by one.
-    scene.write_text(GLOWING, encoding="utf-8")
-    render(scene, GlobalIllumination(4), "mc", rays="device", spp=2, size=(4, 4), device=device)
-    scene.write_text(MATTE, encoding="utf-8")
     # So many samples that what slices cost is looked into.
     image = render(scene, "ao", "mc", **options | {"spp": 1024, "train_spp": "auto"})
     assert "slices" in image.stats
