@@ -52,7 +52,7 @@ def test_pictures_are_embrees_but_for_grazing_rays(device, scenes, without_lists
 @pytest.mark.parametrize("method", ["mc", pytest.param("ncv", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("integrand", SCENES)
 def test_pictures_agree_with_embrees_of_another_seed(device, scenes, without_lists, integrand, method):
-    options = {"method": method, "spp": 256} | ({"train_spp": 16} if method == "ncv" else {})
+    options = {"method": method} | ({"spp": 256} if method == "mc" else {"train_spp": 4})
     ours = rendered(device, scenes, integrand, "device", **options)
     theirs = rendered(device, scenes, integrand, "embree", **options | {"seed": 4})
     assert ours.stats["method"] == method
@@ -139,9 +139,8 @@ def passes(waits, monkeypatch):
 @pytest.mark.parametrize("visibility", ["lines", "points"])
 @pytest.mark.parametrize("integrand", ["direct", "ao"])
 def test_the_host_waits_once_a_pass(one_device, scenes, passes, integrand, visibility, method):
-    options = {"spp": 512, "visibility": visibility, "method": method}
-    if method == "ncv":
-        options["train_spp"] = 4
+    options = {"visibility": visibility, "method": method}
+    options |= {"spp": 512} if method == "mc" else {"spp": 64, "train_spp": 4}
     rendered(one_device, scenes, integrand, "device", **options)
     assert len(passes) >= 2 and passes == [["finish"]] * len(passes)
 
