@@ -19,7 +19,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ncv_cl.integrands import DirectLight
+from ncv_cl.integrands import DirectLight, GlobalIllumination
 from ncv_cl.opencl.device import Device
 from ncv_cl.opencl.program import Kernel, kernel_folder
 from ncv_cl.points.sampler import Stream
@@ -60,6 +60,10 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      lambda tests: {"count": 40, "lights": tests.LIGHTS}),
     ("shadow rays", "test_shadow", "test_rays_are_answered_as_in_double_precision",
      {"place": 1e4, "scale": 1.0, "count": 20}),
+    ("rays", "test_rays", "test_samples_are_embrees", {"integrand": GlobalIllumination(4)}),
+    ("rays", "test_trace_device", "test_answers_are_embrees_but_for_rounding", {"name": "interior"}),
+    ("rays", "test_trace_device", "test_no_ray_leaves_a_closed_mesh",
+     {"shape": "sphere", "scale": 1.0, "place": 50.0}),
     ("global illumination", "test_gi", "test_matte_scenes_match_an_independent_path_tracer",
      {"depth": 3, "lights": None}),
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),

@@ -159,6 +159,9 @@ def render_everything(device: Device, folder: Path) -> None:
     render(scene, "ao", "ncv", density="subdivision", **options)
     for sampler, density in zip(SAMPLERS, ("subdivision", "table"), strict=True):
         render(scene, "ao", "ncv", sampler=sampler, density=density, visibility="lines", **options)
+    # Rays by kernels, those of paths too, of more triangles than are tested one by one.
+    scene.write_text(MATTE + GLOWING[GLOWING.index("[[spheres]]") :], encoding="utf-8")
+    render(scene, GlobalIllumination(3), "mc", rays="device", spp=2, size=(4, 4), device=device)
     disc = ROUND[: ROUND.index('[[lights]]\nkind = "sphere"')]
     for text, density in ((MATTE, "subdivision"), (disc, "table")):
         scene.write_text(text, encoding="utf-8")

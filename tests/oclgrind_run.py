@@ -1,6 +1,6 @@
 """Render a few pixels on the only device there is: what test_oclgrind.py runs under the simulator.
 
-Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBILITY [LISTED]]]
+Usage: oclgrind_run.py SCENE INTEGRAND METHOD SAMPLER VEC LANES [DENSITY [VISIBILITY [LISTED [RAYS]]]]
 """
 
 import sys
@@ -62,10 +62,11 @@ def main(
     lanes: str,
     density: str | None = None,
     visibility: str = "auto",
-    listed: str | None = None,
+    listed: str = "",
+    rays: str = "auto",
 ) -> None:
-    """Render; `listed` is how many occluders a list may hold."""
-    if listed is not None:
+    """Render; `listed` is how many occluders a list may hold, if not as many as usual."""
+    if listed:
         prepare.MOST_ON_LINES = int(listed)
     avoid_false_reports()
     shrink_training()
@@ -82,6 +83,7 @@ def main(
         size=(4, 4),
         device=device,
         visibility=visibility,
+        rays=rays,
         **fitting(method, sampler=sampler, train_spp=2, density=density),
     )
     print(f"{device.name}: {image.stats['points']} points, mean {float(image.pixels.mean())!r}")

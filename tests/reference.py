@@ -19,8 +19,10 @@ from ncv_cl.sampling.samples import SEEN, Batch, SampleSource
 from ncv_cl.sampling.warp import DENSITY_BINS, EDGE_UNITS
 from ncv_cl.scene.load import Camera, Material, QuadLight, Scene
 from ncv_cl.settings.settings import Settings
+from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.shaft import MOST_OCCLUDERS, Occluders
 from ncv_cl.visibility.slices import Slices
+from ncv_cl.visibility.trace import DeviceTracer
 from ncv_cl.visibility.tuning import MOST_ON_LINES
 
 
@@ -313,12 +315,15 @@ def sampling(
     lines: bool = False,
     sliced: bool = False,
     most: int | None = None,
+    on_device: bool = False,
 ) -> tuple[ShadingPoints, SampleSource, RayRecorder]:
     """Shading points of a small picture and a source of samples whose rays are recorded.
 
-    Occluders are listed of points that have no more than `most`.
+    Occluders are listed of points that have no more than `most`; `on_device` kernels trace the rays,
+    which are not recorded then.
     """
     recorder = RayRecorder(Tracer(scene, threads=2))
+    rays = DeviceTracer(device, Hierarchy(device, scene)) if on_device else recorder
     points = find_points(device, scene, recorder.tracer, *size, 1, integrand.emitters_active)
     occluders = None
     if with_occluders or lines:
@@ -326,7 +331,7 @@ def sampling(
         most = usual if most is None else most
         occluders = Occluders(device, scene, points, integrand, most)
     samples_of = sample_source(
-        device, scene, recorder, points, integrand, sampler, seed, samples, occluders,
+        device, scene, rays, points, integrand, sampler, seed, samples, occluders,
         lines=lines, slices=Slices(device, scene) if sliced else None, shadows_tested=shadows_tested,
     )  # fmt: skip
     return points, samples_of, recorder

@@ -170,6 +170,14 @@ def test_simulator_finds_no_fault_along_lines(name, listed, vec, lanes, scenes, 
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
+@pytest.mark.parametrize("name, integrand", [("knot", "ao"), ("interior", "gi")])
+def test_simulator_finds_no_fault_in_rays_by_kernels(name, integrand, vec, lanes, scenes, tmp_path):
+    arguments = (integrand, "mc", "sobol", str(vec), str(lanes), "none", "points", "", "device")
+    faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
+    assert not faults, faults[:5000]
+
+
+@pytest.mark.parametrize("vec, lanes", SHAPES)
 @pytest.mark.parametrize("hidden", ["5x4", "3x3x3"])
 @pytest.mark.parametrize("method", INTEGRATION_METHODS)
 def test_simulator_finds_no_fault_in_an_integration(method, hidden, vec, lanes, tmp_path):

@@ -42,6 +42,8 @@ PICTURES = {
     "direct ncv, slides": ("cornell_box", "direct", {"method": "ncv", "preset": "slides"}),
     "direct ncv, wide": ("cornell_box", "direct", {"method": "ncv", "preset": "wide", "train_spp": 4}),
     "gi ncv, supersampled": ("interior", "gi", {"method": "ncv", "supersample": 2, "size": (12, 8)}),
+    "ao mc, rays by kernels": ("knot", "ao", {"method": "mc", "visibility": "points", "rays": "device"}),
+    "gi mc, rays by kernels": ("interior", "gi", {"method": "mc", "rays": "device"}),
     "gi mc, embree": ("interior", "gi", {"method": "mc", "visibility": "embree"}),
 }
 

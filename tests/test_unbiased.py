@@ -40,6 +40,8 @@ METHODS = {
     "ncv-subdivision": {"method": "ncv", "density": "subdivision"},
     "ncv-allocation": {"method": "ncv", "density": "none"},
     "ncv-relative": {"method": "ncv", "allocation": "relative"},
+    "mc-rays": {"method": "mc", "visibility": "points", "rays": "device"},
+    "ncv-rays": {"method": "ncv", "visibility": "points", "rays": "device"},
     "mc-lines": {"method": "mc", "visibility": "lines"},
     "ncv-lines": {"method": "ncv", "visibility": "lines"},
     "judge": {"method": "mc", "visibility": "embree"},

@@ -116,6 +116,26 @@ float sum_lanes(const real x) {
 #endif
 }
 
+/* The largest and the least of the VEC samples of a work-item. */
+float max_lanes(const real x) {
+#if VEC == 1
+  return x;
+#else
+#if VEC == 16
+  const float8 m8 = max(x.lo, x.hi);
+  const float4 m4 = max(m8.lo, m8.hi);
+#elif VEC == 8
+  const float4 m4 = max(x.lo, x.hi);
+#else
+  const float4 m4 = x;
+#endif
+  const float2 m2 = max(m4.lo, m4.hi);
+  return max(m2.x, m2.y);
+#endif
+}
+
+float min_lanes(const real x) { return -max_lanes(-x); }
+
 /* Before a loop over a private array. A lane of a GPU keeps an array in registers only if all its indices are known when
  * it is compiled; on a CPU arrays are in its cache, and short loops are faster. */
 #if VEC == 1

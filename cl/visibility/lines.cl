@@ -68,25 +68,6 @@ void half_line(const LightLines *lines, const real c0, const real c1, const real
   found[3] = SELECT((real)0.0f, end1, falls);
 }
 
-float max_lanes(const real x) {
-#if VEC == 1
-  return x;
-#else
-#if VEC == 16
-  const float8 m8 = max(x.lo, x.hi);
-  const float4 m4 = max(m8.lo, m8.hi);
-#elif VEC == 8
-  const float4 m4 = max(x.lo, x.hi);
-#else
-  const float4 m4 = x;
-#endif
-  const float2 m2 = max(m4.lo, m4.hi);
-  return max(m2.x, m2.y);
-#endif
-}
-
-float min_lanes(const real x) { return -max_lanes(-x); }
-
 /* A rectangle on a light: x across it and y along it, from the foot of the point. */
 typedef struct {
   float least_x, largest_x, least_y, largest_y;

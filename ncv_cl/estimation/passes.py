@@ -97,7 +97,7 @@ class Passes:
     density : Warp, optional
         As `SampleSource.draw` takes it.
     watch : Stopwatch
-        Gets the seconds of stage "estimate".
+        Gets the seconds of stage "estimate"; where drawing runs ahead, all that the device takes.
     after_pass : callable
         Told after each pass how many are done.
     """
@@ -150,6 +150,9 @@ class Passes:
             for number in range(first, last):
                 for target, order in zip(self._targets, self._orders, strict=True):
                     self._run_one(target, order, number, bar)
+                if self._problem.source.runs_ahead:
+                    with self._watch("estimate"):
+                        self._problem.device.queue.finish()
                 self._after_pass(number + 1)
                 if enough is not None and enough(number + 1):
                     return number + 1
@@ -166,6 +169,7 @@ class Passes:
                 batch = source.draw(points, samples, stream, order, self._density)
                 with self._watch("estimate"):
                     accumulator.add(batch, samples.start)
-                    self._problem.device.queue.finish()
+                    if not source.runs_ahead:
+                        self._problem.device.queue.finish()
             bar.update(len(run.points) * len(run.samples))
         accumulator.finish_pass(drawn, allocation.chosen)

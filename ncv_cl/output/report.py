@@ -20,9 +20,9 @@ from ..opencl.program import kernel_folder
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..sampling.problem import Apart
-from ..sampling.samples import RayCount
 from ..scene.load import Scene
 from ..settings.settings import Settings
+from ..visibility.rays import RayCount
 from .image import Image, error_metrics
 
 

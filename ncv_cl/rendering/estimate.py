@@ -24,7 +24,7 @@ from .pipeline import Outcome, estimate_integrals
 # There are usually few integrals, so a wider network costs little in all.
 WIDE = Training(preset="wide")
 # Options of sampling that need a scene.
-OF_SCENES = {"supersample", "filter", "visibility", "split_direct", "skip_dark"}
+OF_SCENES = {"supersample", "filter", "visibility", "rays", "split_direct", "skip_dark"}
 # Features are brought into this cube.
 UNIT_CUBE = np.array([(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
 

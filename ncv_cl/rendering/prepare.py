@@ -19,9 +19,11 @@ from ..sampling.problem import Apart, Decisions, Problem
 from ..sampling.samples import SAMPLES_A_PASS, SampleSource
 from ..scene.load import Scene
 from ..settings.settings import Settings
+from ..visibility.hierarchy import Hierarchy
 from ..visibility.lines import lines_pay
 from ..visibility.shaft import MOST_OCCLUDERS, Occluders, shafts_pay
 from ..visibility.slices import SliceChoice, Slices, boxes_pay, slices_for
+from ..visibility.trace import DeviceTracer
 from ..visibility.tuning import MOST_LIGHTS, MOST_ON_LINES
 
 # Points that are farther out of a scene's bounds than this part of its extent widen them.
@@ -83,6 +85,7 @@ def prepare(
         )
     with watch("scene"):
         tracer = Tracer(scene, threads)
+        hierarchy = Hierarchy(device, scene) if traces_on_device(device, scene, settings) else None
     with watch("points"):
         points = _points(device, scene, tracer, settings, given)
         points = _without_dark(scene, settings, points)
@@ -90,16 +93,17 @@ def prepare(
     looked_for = settings.sampling.visibility != "embree" and shafts_pay(scene) and is_near
     if integrand.promises("to_lights") and looked_for and points.active:
         with watch("shafts"):
-            occluders, lines = _occluders(device, scene, settings, points)
+            occluders, lines = _occluders(device, scene, settings, points, hierarchy)
     slices, choice = None, None
     if integrand.promises("sliced") and points.active and is_near:
         with watch("slices"):
-            slices, choice = _slices(device, scene, settings, points)
+            slices, choice = _slices(device, scene, settings, points, hierarchy)
     split = _splits(scene, settings, points, lines)
     return assemble(
         device,
         scene,
-        tracer,
+        # Whoever found the points.
+        tracer if hierarchy is None else DeviceTracer(device, hierarchy),
         settings,
         points,
         _bounds(scene, given),
@@ -114,7 +118,7 @@ def prepare(
 def assemble(
     device: Device,
     scene: Scene,
-    tracer: Tracer,
+    tracer: Tracer | DeviceTracer,
     settings: Settings,
     points: ShadingPoints,
     bounds: np.ndarray,
@@ -171,6 +175,19 @@ def _lights(scene: Scene) -> str:
     return f"{len(lights.strip)} lights" + (", some of them balls" if lights.has_balls else "")
 
 
+def traces_on_device(device: Device, scene: Scene, settings: Settings) -> bool:
+    """Whether kernels trace the rays of samples and paths, as option `rays` has it."""
+    sampling = settings.sampling
+    if sampling.rays == "device" and scene.has_gaps:
+        raise ValueError(
+            f"{scene.name}: rays 'device' take triangles for whole, but textures make holes in some or "
+            "there are thin panes; take 'auto'"
+        )
+    if sampling.rays == "auto":
+        return device.is_gpu and sampling.visibility != "embree" and not scene.has_gaps
+    return sampling.rays == "device"
+
+
 def _points(
     device: Device, scene: Scene, tracer: Tracer, settings: Settings, given: PointArrays | None
 ) -> ShadingPoints:
@@ -202,15 +219,18 @@ def _bounds(scene: Scene, given: PointArrays | None) -> np.ndarray:
 
 
 def _occluders(
-    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+    device: Device,
+    scene: Scene,
+    settings: Settings,
+    points: ShadingPoints,
+    hierarchy: Hierarchy | None,
 ) -> tuple[Occluders, bool]:
     """What stands between the points and the lights, and whether to sample along lines."""
     integrand, visibility = settings.integrand, settings.sampling.visibility
-    hierarchy = None
     splits = integrand.apart(scene) is not None and settings.sampling.split_direct != "off"
     if (integrand.promises("along_lines") or splits) and visibility in ("auto", "lines"):
         samples = direct_samples(settings.spp) if splits else settings.spp
-        occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES)
+        occluders = Occluders(device, scene, points, integrand, MOST_ON_LINES, hierarchy)
         if visibility == "lines" or lines_pay(occluders.mean_count, samples):
             return occluders, True
         hierarchy = occluders.hierarchy
@@ -235,7 +255,11 @@ def _lit(scene: Scene, settings: Settings, direct: Integrand, points: ShadingPoi
 
 
 def _slices(
-    device: Device, scene: Scene, settings: Settings, points: ShadingPoints
+    device: Device,
+    scene: Scene,
+    settings: Settings,
+    points: ShadingPoints,
+    hierarchy: Hierarchy | None,
 ) -> tuple[Slices | None, SliceChoice | None]:
     """Boxes to find slices in, if these are to be taken; and of "auto", how many, if it looked.
 
@@ -243,13 +267,13 @@ def _slices(
     """
     sampling, spp = settings.sampling, settings.spp
     if sampling.visibility == "lines":
-        return Slices(device, scene), None
+        return Slices(device, scene, hierarchy), None
     by_network = settings.method == "ncv" or settings.training.network is not None
     if sampling.visibility != "auto" or by_network or scene.has_holes:
         return None, None
     if not boxes_pay(len(scene.triangles), points.active, spp):
         return None, None
-    slices = Slices(device, scene)
+    slices = Slices(device, scene, hierarchy)
     cost = slices.cost(points, float(settings.integrand.data(scene)[0]))
     choice = SliceChoice(slices_for(spp, cost, sampling.sampler), cost)
     return (slices if choice.number else None), choice

@@ -20,6 +20,7 @@ from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
 from ..visibility.slices import Slices
+from ..visibility.trace import DeviceTracer
 from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
 from .samples import NO_RAY, Batch, SampleSource, ray_defines
@@ -38,7 +39,7 @@ RADIANCE_FLOATS = 4
 def sample_source(
     device: Device,
     scene: Scene,
-    tracer: Tracer,
+    tracer: Tracer | DeviceTracer,
     points: ShadingPoints,
     integrand: Integrand,
     *rest: Any,
@@ -66,7 +67,7 @@ class PathSource(SampleSource):
         self,
         device: Device,
         scene: Scene,
-        tracer: Tracer,
+        tracer: Tracer | DeviceTracer,
         points: ShadingPoints,
         integrand: GlobalIllumination,
         sampler: str,

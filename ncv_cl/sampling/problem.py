@@ -13,8 +13,9 @@ from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..points.points import ShadingPoints
 from ..settings.settings import Settings
+from ..visibility.rays import RayCount
 from ..visibility.slices import SliceChoice
-from .samples import Batches, RayCount
+from .samples import Batches
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.lines import LINE_FILES, line_defines
+from ..visibility.rays import RayCount, shadow_rays
 from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
+from ..visibility.trace import DeviceTracer
 from .warp import Warp
 
 # Slots of samples without a ray: their value is zero, or they are known to see the light.
@@ -37,33 +39,6 @@ MEAN_SAMPLES = 64
 def ray_defines() -> dict[str, str]:
     """The `-D` constants of batch.cl and samples.cl."""
     return {"NO_RAY": f"{NO_RAY}u", "SEEN": f"{SEEN}u"}
-
-
-@dataclass
-class RayCount:
-    """How many rays were traced, how many samples needed none, and seconds.
-
-    Attributes
-    ----------
-    traced, skipped : int
-    on_device : int
-        Answered by testing a point's few occluders or a scene's few triangles, or by whole lines or
-        slices.
-    off_lines : int
-        Samples that no line or slice was found for, or one with too much in its way to be kept.
-    trace_seconds, sample_seconds : float
-        Spent in embree, and in all else that drawing samples takes.
-    """
-
-    traced: int = 0
-    skipped: int = 0
-    on_device: int = 0
-    off_lines: int = 0
-    trace_seconds: float = 0.0
-    sample_seconds: float = 0.0
-
-    def __add__(self, other: RayCount) -> RayCount:
-        return RayCount(*(getattr(self, one.name) + getattr(other, one.name) for one in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -112,10 +87,13 @@ class Batches:
         Whether samples are slices of the hemisphere.
     by_kernels : bool
         Whether paths are traced by kernels, and none by the host.
+    runs_ahead : bool
+        Whether the host waits for nothing while it draws: samples come in the order they are asked for.
     """
 
     sliced = False
     by_kernels = False
+    runs_ahead = False
 
     def __init__(
         self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
@@ -123,7 +101,7 @@ class Batches:
         self.device = device
         self.points = points
         self.channels = channels
-        self.rays = RayCount()
+        self._rays = RayCount()
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
@@ -134,6 +112,20 @@ class Batches:
         self._weight = HostArray(device, capacity, np.float32)
         self._slot = HostArray(device, capacity, np.uint32)
         self._visible = HostArray(device, capacity, np.uint8)
+
+    @property
+    def rays(self) -> RayCount:
+        """The rays of all samples so far."""
+        self._collect()
+        return self._rays
+
+    @rays.setter
+    def rays(self, rays: RayCount) -> None:
+        self._collect()
+        self._rays = rays
+
+    def _collect(self) -> None:
+        """Bring `_rays` up to date."""
 
     def move_to(self, points: ShadingPoints, occluders: Occluders | None = None) -> None:
         """Draw at other points from now on, in the memory that there is, and count rays anew.
@@ -177,13 +169,16 @@ class SampleSource(Batches):
 
     Parameters
     ----------
-    device, scene, tracer, points, integrand
+    device, scene
+    tracer : Tracer or DeviceTracer
+        Answers rays, on the host or on the device.
+    points, integrand
     sampler : {"independent", "sobol"}
     seed : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
     occluders : Occluders, optional
-        What decides visibility where it is known; by default embree decides all.
+        What decides visibility where it is known; by default rays decide all.
     lines : bool
         Whether samples lie where lines see the lights.
     slices : Slices, optional
@@ -194,7 +189,7 @@ class SampleSource(Batches):
         self,
         device: Device,
         scene: Scene,
-        tracer: Tracer,
+        tracer: Tracer | DeviceTracer,
         points: ShadingPoints,
         integrand: Integrand,
         sampler: str,
@@ -208,7 +203,7 @@ class SampleSource(Batches):
         self.sliced = slices is not None
         self._tracer = tracer
         # Rays to lights pass panes; for others these are in the way.
-        self._sees_through = scene.has_panes and integrand.promises("to_lights")
+        sees_through = scene.has_panes and integrand.promises("to_lights")
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))
         defines = {
@@ -240,11 +235,12 @@ class SampleSource(Batches):
         self._look_at_points(occluders)
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
-        capacity = self._capacity
-        self._origins = HostArray(device, (capacity, 3), np.float32)
-        self._directions = HostArray(device, (capacity, 3), np.float32)
-        self._distances = HostArray(device, capacity, np.float32)
-        self._ray_count = HostArray(device, 3, np.uint32)
+        self._shadow_rays = shadow_rays(device, tracer, self._capacity, sees_through)
+        # Of paths the host has to know how many go on.
+        self.runs_ahead = self._shadow_rays.runs_ahead and not integrand.nested
+
+    def _collect(self) -> None:
+        self._shadow_rays.collect(self._rays)
 
     def move_to(self, points: ShadingPoints, occluders: Occluders | None = None) -> None:
         super().move_to(points)
@@ -299,7 +295,7 @@ class SampleSource(Batches):
         order = self._every_point if order is None else order
         count = len(samples)
         stride = self._stride_of(count)
-        self._ray_count.fill(0)
+        self._shadow_rays.begin()
         program, warp = self._program, {}
         if density is not None:
             files = (*self._warped_files, *density.files, "samples")
@@ -325,33 +321,14 @@ class SampleSource(Batches):
             v=self._v,
             value=self._value,
             slot=self._slot,
-            origins=self._origins,
-            directions=self._directions,
-            distances=self._distances,
-            ray_count=self._ray_count,
+            **self._shadow_rays.arguments,
         )
-        rays, on_device, off_lines = self._ray_count.read().tolist()
-        started = time.perf_counter()
-        with (
-            self._origins.mapped(count=rays) as origins,
-            self._directions.mapped(count=rays) as directions,
-            self._distances.mapped(count=rays) as distances,
-            self._visible.mapped(write=True, count=rays) as visible,
-        ):
-            if self._sees_through:
-                let_through = np.ones((rays, 3), np.float32)
-                self._tracer.visible(origins, directions, distances, visible, let_through)
-            else:
-                self._tracer.visible(origins, directions, distances, visible)
-        if self._sees_through:
+        traced = self._rays.trace_seconds
+        let_through = self._shadow_rays.answer(len(points) * count, self._visible, self._rays)
+        if let_through is not None:
             self._tint(let_through, len(points) * stride)
-        ended = time.perf_counter()
-        self.rays.trace_seconds += ended - started
-        self.rays.sample_seconds += started - begun
-        self.rays.traced += rays
-        self.rays.on_device += on_device
-        self.rays.off_lines += off_lines
-        self.rays.skipped += len(points) * count - rays - on_device
+        traced = self._rays.trace_seconds - traced
+        self._rays.sample_seconds += time.perf_counter() - begun - traced
         arrays = (self._u, self._v, self._value, self._slot, self._visible)
         return Batch(points, order, count, stride, *arrays, warp.get("weight"))
 

@@ -9,7 +9,10 @@ import numpy as np
 from ..opencl.device import Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
+from ..opencl.program import build
+from ..points.points import surface_defines
 from ..points.trace import Hits, Tracer
+from ..visibility.trace import DeviceTracer
 
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
@@ -73,6 +76,7 @@ class Wave:
     """
 
     def __init__(self, device: Device, capacity: int, panes: bool = False) -> None:
+        self._device = device
         self._width = device.vector_width
         self._panes = panes
         self._planes = PLANES.size if panes else PANES_ONLY
@@ -89,8 +93,11 @@ class Wave:
         # few sets of the cache.
         return -(-count // self._width) * self._width + COUNT_STEP
 
-    def trace(self, tracer: Tracer) -> float:
-        """Trace what kernels have appended, and leave the counts at zero; the seconds it took."""
+    def trace(self, tracer: Tracer | DeviceTracer) -> float:
+        """Trace what kernels have appended, and leave the counts at zero; the seconds of embree."""
+        if isinstance(tracer, DeviceTracer):
+            self._trace_on_device(tracer)
+            return 0.0
         mapped = self._planes if self._panes else HOST_PLANES
         with self.words.mapped(count=HEADER + mapped * self.plane, update=True) as words:
             started = time.perf_counter()
@@ -113,13 +120,36 @@ class Wave:
             )
             return time.perf_counter() - started
 
+    def _trace_on_device(self, tracer: DeviceTracer) -> None:
+        """Have kernels trace what others have appended; nobody waits for the answers."""
+        self.rays, self.shadows = self._take_counts()
+        files = ("common", "surface", "wave", "trace", "wave_rays")
+        # What only lights need is left out.
+        defines = {
+            **surface_defines(),
+            **wave_defines(),
+            "HAS_ROWS": 0,
+            "HAS_PANES": 0,
+            **tracer.defines(),
+        }
+        program = build(self._device, files, defines)
+        arguments = {**tracer.arguments, "plane": self.plane, "wave": self.words}
+        hits = program.kernel("find_hits")
+        hits(self.rays, count=self.rays, numbers=tracer.numbers, **arguments)
+        program.kernel("find_lit")(self.shadows, count=self.shadows, **arguments)
+
     def count(self) -> None:
         """Count what kernels have appended and answer themselves, and leave the counts at zero."""
+        self.rays, tested = self._take_counts()
+        self.tested = self.rays + tested
+
+    def _take_counts(self) -> list[int]:
+        """How many rays and shadow rays kernels have appended; counts are left at zero."""
         with self.words.mapped(count=HEADER, update=True) as words:
             counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
-            self.rays, tested = counts.tolist()
+            found = counts.tolist()
             counts[:] = 0
-        self.tested = self.rays + tested
+        return found
 
     def under_way(self) -> tuple[np.ndarray, np.ndarray]:
         """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""

@@ -57,6 +57,12 @@ class Sampling:
         they reach an error sooner and method "ncv" is not asked for; else points. A slice takes the time
         of 2 to 15 rays, which "auto" counts it for: `spp` 256 is 16 or 128 slices, in no more time than
         256 rays, with less error. Under "lines" `spp` is the number of slices.
+    rays : {"auto", "embree", "device"}
+        Who traces rays of samples and paths. "embree": the host. "device": kernels, through boxes of
+        boxes of triangles; the host then waits for the device once a pass only, in global illumination
+        once a bounce. Pixels differ where a ray grazes an edge. "auto": the device if it is a GPU, but
+        not under `visibility` "embree" and not where textures make holes, which the host looks up.
+        Camera rays are always embree's.
     split_direct : {"auto", "on", "off"}
         Global illumination: estimate direct light apart from the light of paths ("on"), by samples of
         its own, or both by the same samples ("off"). "auto": apart where it can be sampled along lines.
@@ -70,11 +76,14 @@ class Sampling:
     filter: Literal["box", "tent", "blackman-harris"] = "box"
     allocation: Literal["magnitude", "relative", "pilot", "uniform"] | None = None
     visibility: Literal["auto", "lines", "points", "embree"] = "auto"
+    rays: Literal["auto", "embree", "device"] = "auto"
     split_direct: Literal["auto", "on", "off"] = "auto"
     skip_dark: bool = True
 
     def __post_init__(self) -> None:
         check_choices(self)
+        if self.visibility == "embree" and self.rays == "device":
+            raise ValueError("visibility 'embree' has embree trace all rays: leave out rays 'device'")
         supersample = checked_whole("supersample", self.supersample, MOST_CELLS)
         object.__setattr__(self, "supersample", supersample)
         if self.filter != "box" and supersample == 1:

@@ -32,6 +32,10 @@ class Hierarchy:
         float32 (nodes, 6, CHILDREN).
     triangles : HostArray
         float32 (leaves, 9, CHILDREN): x, y, z of corner 0, then 1, then 2.
+    numbers : ndarray
+        uint32 (triangles,), the scene's number of the triangle at each place.
+    extent : float
+        The largest coordinate.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -40,6 +44,8 @@ class Hierarchy:
         a, b, c = corners.transpose(1, 0, 2)
         lower, upper = (limit(limit(a, b), c) for limit in (np.minimum, np.maximum))
         order = packed_order(lower, upper)
+        self.numbers = order.astype(np.uint32)
+        self.extent = float(np.abs(corners).max())
         levels = box_levels(lower[order], upper[order])
         firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
         self.levels = HostArray.of(device, firsts.astype(np.uint32))

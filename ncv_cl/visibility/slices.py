@@ -12,7 +12,7 @@ from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
 from ..scene.load import Scene
 from . import tuning
-from .hierarchy import CHILDREN, box_levels, in_nodes, packed_order, padded
+from .hierarchy import CHILDREN, Hierarchy
 
 # What rounding may move a box from a plane by, of the largest coordinate: six roundings of sums of up to
 # 2 * 3^0.5.
@@ -94,6 +94,8 @@ class Slices:
     Parameters
     ----------
     device, scene
+    hierarchy : Hierarchy, optional
+        The scene's, if there is one.
 
     Attributes
     ----------
@@ -102,20 +104,16 @@ class Slices:
         boxes, and leaves of triangles.
     """
 
-    def __init__(self, device: Device, scene: Scene) -> None:
-        corners = scene.vertices[scene.triangles].astype(np.float32)
-        lower, upper = corners.min(axis=1), corners.max(axis=1)
-        order = packed_order(lower, upper)
-        levels = box_levels(lower[order], upper[order])
-        firsts = np.cumsum([0, *(len(level) for level in levels[:-1])])
+    def __init__(self, device: Device, scene: Scene, hierarchy: Hierarchy | None = None) -> None:
+        hierarchy = hierarchy or Hierarchy(device, scene)
         self._device = device
-        self._levels = len(levels)
+        self._levels = hierarchy.levels.shape[0]
         self.arguments = {
-            "unit": 1 / float(np.abs(corners).max()),
-            "levels": HostArray.of(device, firsts.astype(np.uint32)),
-            "boxes": HostArray.of(device, np.concatenate(levels)),
+            "unit": 1 / hierarchy.extent,
+            "levels": hierarchy.levels,
+            "boxes": hierarchy.boxes,
             # What fills up a leaf is without extent: no plane has its corners on two sides.
-            "triangles": HostArray.of(device, in_nodes(padded(corners[order].reshape(-1, 9), 0.0))),
+            "triangles": hierarchy.triangles,
         }
 
     def cost(self, points: ShadingPoints, radius: float) -> SliceCost:

@@ -32,7 +32,8 @@ from ...settings.settings import Settings
 from ...visibility.hierarchy import Hierarchy
 from ...visibility.shaft import Occluders
 from ...visibility.slices import Slices
-from ..prepare import assemble
+from ...visibility.trace import DeviceTracer
+from ..prepare import assemble, traces_on_device
 from .spec import EstimateSpec, ProblemSpec, Request, TileData, TileResult, device_line, this_build
 
 
@@ -84,7 +85,10 @@ class Bench:
             return
         self.tracer = Tracer(scene, worker_threads(spec.threads))
         decided = spec.decisions
-        self.hierarchy = Hierarchy(self.device, scene) if decided.most_occluders else None
+        on_device = traces_on_device(self.device, scene, self.settings)
+        needed = on_device or decided.most_occluders
+        self.hierarchy = Hierarchy(self.device, scene) if needed else None
+        self.rays = DeviceTracer(self.device, self.hierarchy) if on_device else self.tracer
         self.slices = Slices(self.device, scene) if decided.sliced else None
 
     @contextmanager
@@ -109,7 +113,7 @@ class Bench:
             source = CallableSource(self.device, points, function, channels, sampler, spec.seed)
             source.offset = spec.offset
             return Problem(self.device, points, source, np.zeros((2, 3)), ("position",), is_image=False)
-        common = (self.device, self.scene, self.tracer, settings, points, self.scene.world_bounds)
+        common = (self.device, self.scene, self.rays, settings, points, self.scene.world_bounds)
         occluders = self._occluders(points)
         return assemble(*common, occluders, self.slices, decided.lines, decided.split)
 
