@@ -62,7 +62,7 @@ def test_what_is_read_without_a_word(
 def test_emission_is_taken_over_and_said(tmp_path: Path) -> None:
     material, said = read(tmp_path, "Kd 0 0 0\nKe 5 4 3")
     assert material.emission.tolist() == [5.0, 4.0, 3.0] and not material.albedo.any()
-    assert said == ["materials that emit, which integrand gi renders and direct refuses: 1 (m)"]
+    assert said == ["materials that emit, which light the scene: 1 (m)"]
 
 
 @pytest.mark.parametrize(
