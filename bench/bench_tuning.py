@@ -85,6 +85,7 @@ APART = Trial(
     (("interior", "gi"), ("occluders", "gi"), ("veach_plates", "gi")), options={"method": "mc"}
 )
 GLOSS = (("veach_plates", "direct"), ("interior", "direct"))
+SKY = Trial((("sky_room", "direct"), ("sky_room", "gi")), options={"method": "mc"})
 LIGHTS = (("cornell_box", "direct"), ("interior", "direct"), ("occluders", "direct"))
 PLAIN = {"method": "mc"}
 ON_LINES = {"method": "mc", "visibility": "lines"}
@@ -97,6 +98,8 @@ VARIANCE = Trial(size=64, spp=16, of_variance=True)
 TRIALS = {
     "SMALL_LIGHT": Trial(LIGHTS, options=PLAIN),
     "EQUAL_PART": Trial((("interior", "direct"), ("interior", "gi")), options=PLAIN),
+    "SKY_EQUAL_PART": SKY,
+    "SKY_LEAST_WEIGHT": SKY,
     "LOBE_SHARES": Trial(GLOSS, options=PLAIN),
     "LOBE_GAIN": Trial(GLOSS, options=PLAIN),
     "LOBE_NEED": Trial(GLOSS, options=PLAIN),

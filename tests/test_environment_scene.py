@@ -187,3 +187,9 @@ def test_info_names_it(load, tmp_path):
 def test_the_example_loads(scenes):
     scene = ncv.load_scene(scenes / "sky_room.toml")
     assert scene.warnings == () and len(scene.environment.suns) == 1
+
+
+def test_a_black_one_is_none(load):
+    assert load("[environment]\nradiance = 0\n").environment is None
+    sun = '[[lights]]\nkind = "directional"\ndirection = [0, 1, 0]\nirradiance = 0\n'
+    assert load(sun).environment is None

@@ -34,14 +34,11 @@ SPREADS = (2e-3, 0.25, 0.5, 1.0, 2.0)
 # of two, or three quarters, so strips stay on a dyadic grid.
 SHARES = (0.25, 0.5, 0.75, 0.875)
 _ROWS = tuple(1 << k for k in range(FEWEST_ROWS.bit_length() - 1, MOST_ROWS.bit_length()))
-# The least weight of a cell of a map that any surface's hemisphere reaches into, of the most that it
-# can have.
-LEAST_WEIGHT = 0.1
 
 
 def has_environment(scene: Scene) -> bool:
     """Whether light arrives from outside."""
-    return scene.environment is not None and (has_image(scene) or bool(scene.environment.suns))
+    return scene.environment is not None and not scene.environment.is_black
 
 
 def has_image(scene: Scene) -> bool:
@@ -247,7 +244,7 @@ class _Grid:
         # Between the corners a cell may be higher, by no more than the middle is above them.
         most = most + np.abs(cosine - around.mean(axis=0))
         mean = (np.maximum(cosine, 0) + np.maximum(around, 0).sum(axis=0)) / 5
-        return np.where(most > 0, np.maximum(mean, LEAST_WEIGHT * most), 0.0)
+        return np.where(most > 0, np.maximum(mean, tuning.SKY_LEAST_WEIGHT * most), 0.0)
 
 
 def _grid(environment: Environment, rows: int) -> _Grid:

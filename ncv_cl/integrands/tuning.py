@@ -26,5 +26,8 @@ LOBE_SHARES = (0.0, 0.5, 0.875)
 LOBE_GAIN = 3.0
 LOBE_NEED = 8.0
 # What every direction of the environment that is not black has in its maps beside its own radiance, of
-# the mean: so that what is in front of the bright parts does not leave the rest to few samples.
+# the mean: so that what is in front of the bright parts does not leave the rest to few samples. And the
+# least weight of a map's cell that some surface's hemisphere reaches into, of the most that it can have.
+# Both by python bench/bench_tuning.py SKY_EQUAL_PART SKY_LEAST_WEIGHT.
 SKY_EQUAL_PART = 0.05
+SKY_LEAST_WEIGHT = 0.1

@@ -189,6 +189,7 @@ class Assembly:
                 "or wrong. Move the camera closer and widen its field of view, or leave out what is far "
                 "away"
             )
+        around = self.environment
         firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
         triangles = [mesh.triangles + first for mesh, first in zip(meshes, firsts[:-1], strict=True)]
         counts = [len(mesh.triangles) for mesh in meshes]
@@ -215,7 +216,7 @@ class Assembly:
             named=tuple(named),
             vertex_uv=_joined([mesh.uv for mesh in meshes], meshes, (0.0, 0.0)),
             vertex_colours=_joined([mesh.colours for mesh in meshes], meshes, (1.0, 1.0, 1.0)),
-            environment=self.environment,
+            environment=None if around is None or around.is_black else around,
         )
         for array in vars(scene).values():
             if isinstance(array, np.ndarray):

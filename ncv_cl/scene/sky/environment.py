@@ -110,6 +110,11 @@ class Environment:
         return replace(blank, radiance=clear_sky(zenith, blank.axes @ sun.towards))
 
     @property
+    def is_black(self) -> bool:
+        """Whether nothing arrives."""
+        return not np.any(self.radiance) and not self.suns
+
+    @property
     def texels(self) -> NDArray[np.float32]:
         """`radiance` as an image, float32 (height, width, 3)."""
         found = np.asarray(self.radiance, np.float32)
