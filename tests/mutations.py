@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from mesh_files import SCENE, SQUARE, Gltf, obj_text, ply_bytes, write_image
+from mesh_files import SCENE, SQUARE, Gltf, obj_text, ply_bytes, png_bytes, write_image
+from mitsuba_files import serialized
 
 # In place of numbers and words of texts.
 WORDS = [
@@ -52,6 +53,7 @@ def write_seeds(folder: Path) -> dict[str, tuple[Path, Path]]:
     gltf.write(folder / "a.gltf")
     gltf.write(folder / "a.glb")
     (folder / "a.xml").write_text(XML)
+    (folder / "a.serialized").write_bytes(serialized(trimesh.creation.box()))
     for file in ("a.obj", "a.ply", "b.ply", "a.stl", "b.stl"):
         _toml(folder / f"{file}.toml", f'[[meshes]]\nfile = "{file}"\n')
     for file in ("t.png", "t.exr", "t.hdr", "t.tif"):
@@ -67,6 +69,7 @@ def write_seeds(folder: Path) -> dict[str, tuple[Path, Path]]:
     kinds |= {name: (folder / name, folder / name) for name in ("a.toml", "a.gltf", "a.glb", "a.xml")}
     return kinds | {
         "a.obj": (folder / "a.obj", folder / "a.obj"),
+        "a.serialized": (folder / "a.xml", folder / "a.serialized"),
         "a.mtl": (folder / "a.obj.toml", folder / "a.mtl"),
     }
 
@@ -110,18 +113,22 @@ def _gltf() -> Gltf:
             "values": {"bufferView": gltf.view(struct.pack("<3f", 1, 2, 3))},
         }
     }
-    image = gltf.view(_png())
+    image = gltf.view(png_bytes(100, 150, 200))
     matrices = gltf.accessor(np.eye(4, dtype=np.float32).reshape(1, 16))
     instances = {"TRANSLATION": gltf.accessor(np.zeros((2, 3), np.float32))}
     gltf.tree |= {
         "extensionsUsed": ["KHR_lights_punctual", "EXT_mesh_gpu_instancing"],
-        "scenes": [{"nodes": [0, 1, 2, 4]}],
+        "extensions": {
+            "KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {}, "color": [1, 1, 0]}]}
+        },
+        "scenes": [{"nodes": [0, 1, 2, 4, 5]}],
         "nodes": [
             {"mesh": 0, "scale": [1, 2, 1], "rotation": [0, 0, 0, 1], "children": [3], "weights": [0.5]},
             {"camera": 0, "translation": [0, 0, 5]},
             {"mesh": 0, "skin": 0},
             {"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]},
             {"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": {"attributes": instances}}},
+            {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [1, 1, 9]},
         ],
         "meshes": [{"primitives": [primitive], "weights": [0.1]}],
         "skins": [{"joints": [3], "inverseBindMatrices": matrices}],
@@ -148,12 +155,6 @@ def _gltf() -> Gltf:
         "images": [{"bufferView": image, "mimeType": "image/png"}],
     }
     return gltf
-
-
-def _png() -> bytes:
-    from mesh_files import png_bytes
-
-    return png_bytes(100, 150, 200)
 
 
 def _text_changed(data: bytes, chance: random.Random) -> bytes:
@@ -278,6 +279,34 @@ edge1 = [1, 0, 0]
 edge2 = [0, 0, 1]
 radiance = [1, 2, 3]
 two_sided = true
+[[lights]]
+kind = "spot"
+position = [3, 5, 0]
+target = [0, 0, 0]
+intensity = [1, 2, 3]
+inner_angle = 10
+outer_angle = 20
+radius = 0.01
+[[lights]]
+kind = "sphere"
+centre = [-3, 5, 0]
+radius = 0.5
+radiance = 4
+[[lights]]
+kind = "directional"
+direction = [0, -1, 0]
+irradiance = 2
+[materials.glass]
+transmission = [1, 0.9, 0.8]
+ior = 1.4
+[environment]
+file = "t.exr"
+scale = 0.5
+rotation = 30
+[environment.sun]
+elevation = 30
+azimuth = 10
+irradiance = [3, 2, 1]
 """
 
 XML = """<?xml version="1.0" encoding="utf-8"?>
@@ -311,6 +340,9 @@ XML = """<?xml version="1.0" encoding="utf-8"?>
     <ref id="p"/></shape>
   <shape type="sphere"><point name="center" x="1" y="1" z="0"/><ref id="x"/></shape>
   <shape type="disk"><ref id="x"/></shape>
+  <shape type="serialized"><string name="filename" value="a.serialized"/></shape>
+  <emitter type="spot"><float name="cutoff_angle" value="30"/></emitter>
+  <emitter type="envmap"><string name="filename" value="t.exr"/></emitter>
   <shape type="shapegroup" id="g"><shape type="cube"/></shape>
   <shape type="instance"><ref id="g"/><transform name="toWorld"><translate y="3"/></transform></shape>
 </scene>

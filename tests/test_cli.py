@@ -201,11 +201,11 @@ def test_an_interrupt_ends_in_a_line(cli, monkeypatch):
 
 
 def test_warnings_are_a_line_each(cli, monkeypatch):
-    def warn(scene):
+    def warn(scene, **options):
         warnings.warn("something is odd", stacklevel=2)
         raise ValueError("and wrong")
 
-    monkeypatch.setattr("ncv_cl.cli.load_scene", warn)
+    monkeypatch.setattr("ncv_cl.commands.common.load_scene", warn)
     status, _, err = cli("-o", "a.exr")
     assert status == 2
     assert err == "ncv-cl: warning: something is odd\nncv-cl: error: and wrong\n"

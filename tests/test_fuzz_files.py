@@ -19,8 +19,8 @@ from mutations import mutated, write_seeds
 import ncv_cl as ncv
 
 KINDS = (
-    "a.toml", "a.obj", "a.mtl", "a.ply", "b.ply", "a.stl", "b.stl", "a.gltf", "a.glb", "a.xml", "t.png",
-    "t.exr", "t.hdr", "t.tif",
+    "a.toml", "a.obj", "a.mtl", "a.ply", "b.ply", "a.stl", "b.stl", "a.gltf", "a.glb", "a.xml",
+    "a.serialized", "t.png", "t.exr", "t.hdr", "t.tif",
 )  # fmt: skip
 # The valid files take less than a megabyte and a tenth of a second.
 MOST_BYTES, MOST_SECONDS = 1 << 28, 20
@@ -40,7 +40,7 @@ def seeds(tmp_path_factory) -> Seeds:
 
 
 def needs(name: str) -> None:
-    if name == "a.xml" and not (find_spec("mitsuba") and find_spec("defusedxml")):
+    if name in ("a.xml", "a.serialized") and not (find_spec("mitsuba") and find_spec("defusedxml")):
         pytest.skip("mitsuba is not installed")
 
 

@@ -190,9 +190,6 @@ def test_what_a_camera_cannot_do_is_said(read) -> None:
     assert "lenses are pinholes" in said and "mirror the picture" in said
 
 
-# ---- shapes -----------------------------------------------------------------------------------------
-
-
 def test_instances_are_shapes_of_their_group(read) -> None:
     group = '<shape type="shapegroup" id="g"><shape type="sphere"/><shape type="rectangle"/></shape>'
     moved = '<transform name="to_world"><scale value="2"/><translate x="3"/></transform>'

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from mesh_files import SQUARE, obj_text, write_image
-from mitsuba_files import load, matrix_text, rectangle, scene
+from mitsuba_files import load, matrix_text, rectangle, scene, serialized
 from reference import intersect
 
 import ncv_cl as ncv
@@ -40,20 +40,6 @@ def write_meshes(folder: Path) -> None:
     ball.export(folder / "a.ply")
     (folder / "a.serialized").write_bytes(serialized(trimesh.creation.box(), ball))
     write_image(folder / "t.png", np.arange(48, dtype=np.float32).reshape(4, 4, 3) / 48)
-
-
-def serialized(*meshes: trimesh.Trimesh) -> bytes:
-    """A file of version 4: the even ones in double precision, with texture coordinates."""
-    data, places = b"", []
-    for i, mesh in enumerate(meshes):
-        kind, flags = ("<f4", 0x1002) if i % 2 else ("<f8", 0x2002)
-        uv = 0.3 * mesh.vertices[:, :2] + 0.5
-        counts = struct.pack("<I5sQQ", flags, b"name\0", len(mesh.vertices), len(mesh.faces))
-        arrays = [mesh.vertices.astype(kind), uv.astype(kind), mesh.faces.astype("<u4")]
-        places.append(len(data))
-        packed = zlib.compress(counts + b"".join(array.tobytes() for array in arrays))
-        data += struct.pack("<HH", 0x041C, 4) + packed
-    return data + struct.pack(f"<{len(places)}QI", *places, len(places))
 
 
 @pytest.mark.parametrize("place", PLACES)

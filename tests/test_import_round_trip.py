@@ -58,6 +58,8 @@ def vector(low: float = -3, high: float = 3) -> st.SearchStrategy:
 
 direction = vector(-1, 1).filter(lambda v: np.linalg.norm(v) > 0.1)
 colour = vector(0.1, 9)
+# Points on surfaces become lights of no size.
+away = vector(5, 6)
 material = st.sampled_from(sorted(MATERIALS))
 
 
@@ -95,13 +97,13 @@ lights = st.one_of(
         lambda c, r, e: {"kind": "sphere", "centre": c, "radius": r, "radiance": e},
         vector(-2, 2), number(0.1, 1), colour,
     ),
-    st.builds(lambda p, i: {"kind": "point", "position": p, "intensity": i}, vector(), colour),
+    st.builds(lambda p, i: {"kind": "point", "position": p, "intensity": i}, away, colour),
     st.builds(
         lambda p, d, i, inner, outer: {
             "kind": "spot", "position": p, "direction": d, "intensity": i, "inner_angle": inner,
             "outer_angle": outer,
         },
-        vector(), direction, colour, number(5, 20), number(25, 60),
+        away, direction, colour, number(5, 20), number(25, 60),
     ),
     st.builds(
         lambda d, e: {"kind": "directional", "direction": d, "irradiance": e}, direction, colour
