@@ -37,7 +37,7 @@ def test_a_killed_process_is_replaced(kind, monkeypatch):
         "ours": lambda: ncv.Processes(2),
         "Python's": lambda: ProcessPoolExecutor(2, get_context("spawn")),
     }
-    alone = picture("gi, network")
+    alone = picture("direct")
     with made[kind]() as executor:
         killed = []
         put = ncv.rendering.carried.carrier.Carrier.save_now_and_then
@@ -50,7 +50,7 @@ def test_a_killed_process_is_replaced(kind, monkeypatch):
         monkeypatch.setattr(
             "ncv_cl.rendering.carried.carrier.Carrier.save_now_and_then", kill_after_a_task
         )
-        image = picture("gi, network", executor=executor)
+        image = picture("direct", executor=executor, task_points=20)
     assert killed and image.stats["machines"]["retries"] > 0
     assert_same_bits(alone, image)
 
