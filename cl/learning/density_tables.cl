@@ -1,4 +1,5 @@
-/* The densities of the network of density.cl, tabulated at VEC points a work-item.
+/* The densities of the network of density.cl, tabulated: a work-item computes e in all cells of VEC points, its mean
+ * over the square, and from both the records that warp.cl samples by. What is added to e is uniform.
  *
  * Work-group contract: one-dimensional, any size, no local memory, no barriers.
  */
