@@ -9,7 +9,7 @@ from ..host.console import complain, say
 from ..host.files import check_paths
 from ..host.reach import Reach
 from ..scene import about
-from ..scene.imports import KINDS, read_tables
+from ..scene.imports import SCENE_KINDS, read_tables
 from ..scene.imports.write import write_scene
 from ..scene.load import scene_from
 from ..scene.table import SceneError
@@ -45,7 +45,7 @@ def _info(options: argparse.Namespace) -> int:
 
 def _import(options: argparse.Namespace) -> int:
     source, target = Path(options.scene), Path(options.output)
-    kinds = [kind for kind in KINDS if kind != ".toml"]
+    kinds = [kind for kind in SCENE_KINDS if kind != ".toml"]
     if source.suffix.lower() not in kinds:
         raise SceneError(f"{source}: only {', '.join(kinds)} are imported")
     if target.suffix.lower() != ".toml":

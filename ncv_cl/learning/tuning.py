@@ -46,7 +46,8 @@ CPU_TILE = 16
 CPU_LOCAL_BYTES = 256 << 10
 
 # Samples of a step for each compute unit of a GPU: a warp for each of its four schedulers. What
-# minibatches so large leave of the residual: python bench/bench_growth.py.
+# minibatches so large leave of the residual: python bench/bench_growth.py; on a GPU also
+# python bench/bench_tuning.py GPU_STEP_ITEMS.
 GPU_STEP_ITEMS = 128
 
 # A tile of the image has about so many training samples, whose points share one control coefficient a

@@ -19,7 +19,7 @@ from ..host.files import write_whole
 # Hex digits of a digest: 128 bits of SHA-256.
 DIGITS = 32
 # Pickled bytes of the values that a process keeps; those that were not used for longest go first.
-MOST_KEPT = 1 << 30
+BYTES_KEPT = 1 << 30
 
 
 class CannotTravel(ValueError):
@@ -46,7 +46,7 @@ class Kept:
         with self._lock:
             self._found[key] = (value, size)
             self._found.move_to_end(key)
-            while len(self._found) > 1 and sum(one for _, one in self._found.values()) > MOST_KEPT:
+            while len(self._found) > 1 and sum(one for _, one in self._found.values()) > BYTES_KEPT:
                 self._found.popitem(last=False)
 
     def forget(self, key: str) -> None:

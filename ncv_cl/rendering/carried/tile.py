@@ -150,7 +150,7 @@ class Bench:
 BENCHES: dict[str, Bench] = {}
 _LOCK = threading.Lock()
 # Benches that a process keeps: of the render under way, and of those that take turns with it.
-MOST_KEPT = 4
+MOST_BENCHES = 4
 
 
 def bench_of(values: Mapping[str, object], key: str) -> Bench:
@@ -160,7 +160,7 @@ def bench_of(values: Mapping[str, object], key: str) -> Bench:
             spec = values[key]
             scene = None if spec.scene is None else values[spec.scene]
             made = Bench(spec, scene, OWN_DEVICES.get(key))
-            while len(BENCHES) >= MOST_KEPT:
+            while len(BENCHES) >= MOST_BENCHES:
                 del BENCHES[next(iter(BENCHES))]
             BENCHES[key] = made
         return BENCHES[key]

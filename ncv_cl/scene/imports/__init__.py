@@ -4,6 +4,6 @@ What a file has that cannot be shown is said by kind and count. `Found` goes on 
 """
 
 from .found import Found
-from .read import KINDS, read_tables
+from .read import SCENE_KINDS, read_tables
 
-__all__ = ["KINDS", "Found", "read_tables"]
+__all__ = ["SCENE_KINDS", "Found", "read_tables"]

@@ -19,7 +19,7 @@ else:
     import tomli as tomllib
 
 # Suffixes of the scene files that are read. Others are taken for TOML.
-KINDS = (".toml", *MESH_KINDS, ".xml")
+SCENE_KINDS = (".toml", *MESH_KINDS, ".xml")
 # Of a file that lacks a part, has one of another type than its format says, or is nested too deeply.
 _MALFORMED = (KeyError, TypeError, AttributeError, IndexError, ArithmeticError, RecursionError)
 
