@@ -2,8 +2,8 @@
 
 What is the same: triangles and vertex normals; Lambert (Mitsuba's own); GGX over Lambert (`bsdf.cl`'s
 formula as a BSDF plugin, since none of Mitsuba's has it; `llvm` variants only); textures and colours of
-vertices of Lambert surfaces; black-body, one-sided area lights; the camera's rays, which go through the
-same sub-pixel centres.
+vertices of Lambert surfaces; glass, smooth, rough and thin, without textures; black-body, one-sided area
+lights; the camera's rays, which go through the same sub-pixel centres.
 
 What is not:
 
