@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mesh_files import write_image
 from reference import camera_directions, polygon_irradiance
 from trimesh.transformations import rotation_matrix
 
@@ -208,9 +209,13 @@ def test_no_light_leaks_into_a_closed_room(device, tmp_path, place, scale, turn)
     world = scale * corners @ turn.T + place
     eye, aim = (scale * turn @ np.array(p) + place for p in ([0.1, 0.2, 0.4], [-0.3, -0.4, -0.6]))
     text = f"[camera]\nposition = {eye.tolist()}\ntarget = {aim.tolist()}\nvertical_fov = 60\n"
-    text += "[materials.glow]\nalbedo = 0.5\nemission = 1\n"
+    # Of an image, so that paths alone find it.
+    write_image(tmp_path / "white.exr", np.ones((1, 1, 3), np.float32), "half")
+    text += '[materials.glow]\nalbedo = 0.5\nemission = { file = "white.exr" }\n'
     for face in faces:
-        text += f'[[polygons]]\nvertices = {world[list(face)].tolist()}\nmaterial = "glow"\n'
+        corner, after, _, before = world[list(face)]
+        edges = f"edge1 = {(after - corner).tolist()}\nedge2 = {(before - corner).tolist()}"
+        text += f'[[quads]]\ncorner = {corner.tolist()}\n{edges}\nmaterial = "glow"\n'
     path = tmp_path / "room.toml"
     path.write_text(text, encoding="utf-8")
     image = render(load_scene(path), GlobalIllumination(3), "mc", spp=16, size=(24, 24), device=device)
