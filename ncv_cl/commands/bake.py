@@ -22,7 +22,7 @@ def add_bake(commands: argparse._SubParsersAction) -> None:
     text = "ambient occlusion or light as a map over a mesh's UVs"
     parser = commands.add_parser("bake", help=text, description=text, formatter_class=Help)
     add = parser.add_argument
-    add_scene(parser)
+    add_scene(parser, is_seen=False)
     add("mesh", help="a mesh of the scene, with its UVs, where it is: .obj, .ply, .gltf or .glb")
     add("--integrand", choices=("ao", "direct", "gi"), default="ao", help="of light: irradiance over pi")
     add("--radius", type=float, help="ambient occlusion: farthest occluder (default: any)")

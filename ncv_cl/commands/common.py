@@ -27,23 +27,25 @@ class Help(argparse.HelpFormatter):
         return f"{action.help} (default: {default})"
 
 
-def add_scene(parser: argparse.ArgumentParser) -> None:
-    """The scene file, as the first argument, and how it is read."""
+def add_scene(parser: argparse.ArgumentParser, is_seen: bool = True) -> None:
+    """The scene file, as the first argument, and how it is read; `is_seen`: by a camera."""
     add = parser.add_argument
     add("scene", help="scene file: .toml, .gltf, .glb, .obj, .ply, .stl or Mitsuba's .xml")
-    add_reading(parser)
+    add_reading(parser, is_seen)
 
 
-def add_reading(parser: argparse.ArgumentParser) -> None:
+def add_reading(parser: argparse.ArgumentParser, is_seen: bool = True) -> None:
     """How a scene file is read."""
     add = parser.add_argument_group("scene file").add_argument
-    add("--camera", metavar="NAME", help="one of the file's cameras (default: the first)")
+    if is_seen:
+        add("--camera", metavar="NAME", help="one of the file's cameras (default: the first)")
     add("--allow-outside", action="store_true", help="read files outside of the scene file's folder")
 
 
 def read_options(options: argparse.Namespace) -> dict[str, object]:
     """Keywords of `load_scene`."""
-    return {"camera": options.camera, "allow_outside": options.allow_outside}
+    camera = getattr(options, "camera", None)
+    return {"camera": camera, "allow_outside": options.allow_outside}
 
 
 def load(options: argparse.Namespace) -> Scene:

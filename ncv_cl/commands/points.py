@@ -21,7 +21,7 @@ def add_sense(commands: argparse._SubParsersAction) -> None:
     text = "irradiance or ambient occlusion at points, with standard errors"
     parser = commands.add_parser("sense", help=text, description=text, formatter_class=Help)
     add = parser.add_argument
-    add_scene(parser)
+    add_scene(parser, is_seen=False)
     add("points", help="positions and normals: .csv (x,y,z,nx,ny,nz), .npy (n, 6) or .ply")
     add(
         "--integrand",
