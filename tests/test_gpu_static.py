@@ -33,7 +33,7 @@ EXCEPTIONS = {
     "find_occluders": (0, 4512, OCCUPANCY, "once an image; a point's list while it is looked for"),
     "fold": (0, 288, OCCUPANCY, "once an image; a point's features, which every row reads"),
     "gradients": (0, 0, 0.12, "wide networks: what samples leave lies in local memory"),
-    "integrate": (1024, 12288, 0.03, "a point's arrangement: private, or of a group in local memory"),
+    "integrate": (1024, 7552, 0.03, "a point's arrangement: private, or of a group in local memory"),
     "integrate_robust": (16, 8, OCCUPANCY, "few points; numbers of twice the length"),
     "shade_hits": (0, 144, OCCUPANCY, "four texels of each of a surface's textures"),
 }
