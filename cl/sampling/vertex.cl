@@ -160,3 +160,10 @@ real moved_on(const real x, const float part) {
   const real moved = x + part;
   return min(moved - SELECT((real)0.0f, (real)1.0f, moved >= 1.0f), (real)BELOW_ONE);
 }
+
+/* What all branches of the paths at `places` brought to a place. */
+float branch_sum(global const float *restrict first, const uint places) {
+  float sum = first[0];
+  for (uint branch = 1; branch < BRANCHES; ++branch) sum += first[branch * (ulong)places * RADIANCE_FLOATS];
+  return sum;
+}

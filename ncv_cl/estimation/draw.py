@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..host.clock import Run
 from ..sampling.accumulate import Estimate
 from ..sampling.problem import Problem
@@ -69,8 +67,8 @@ def allocation_of(
         return Allocation.of_counts(allocate(magnitude, settings.spp))
     if before is not None and settings.allocation == "pilot":
         return allocate_by_pilot(before, settings.spp)
-    everything = np.arange(problem.points.active, dtype=np.uint32)
-    return Allocation.uniform(everything, settings.spp)
+    density = settings.residual_density if variate is not None else "none"
+    return Allocation.of_groups(problem.source.groups(settings.seed, density), settings.spp)
 
 
 def begin(
