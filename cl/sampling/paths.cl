@@ -38,7 +38,7 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint branch = 0; branch < BRANCHES; ++branch) {
+  for (uint branch = 0; branch < SLOTS; ++branch) {
     const ulong own = at + branch * (ulong)point_count * stride;
     for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + own * RADIANCE_FLOATS + k * VEC);
   }
@@ -151,7 +151,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
 #if SHARED
   if (bounce == 1)
-    keep_hit(position, geometric_normal, s.normal, offset,
+    keep_hit(position, geometric_normal, &s, offset,
              on_surface && looks_alike(triangles, at, geometric_normal, &s), ray.path, places, hits);
 #else
   (void)hits;
@@ -200,11 +200,24 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
                                ray.throughput.z * f_r[2] * found.radiance[2] * scale};
   shadow.density = (real)0.0f;
   shadow.path = ray.path;
+#if SHARED && HAS_SPECULAR
+  /* Light that comes straight to the first hit has a slot of its own. */
+  if (bounce == 1) {
+    shadow.path += BRANCHES * places;
+    keep_matte(&s, found.towards, BRANCHES, on_surface, ray.path, places, hits);
+  }
+#endif
   shadow.strips = ray.strips;
   const whole is_cast = lit && (largest_of(shadow.throughput) > 0.0f);
 #if CASTERS
   count_shadow_rays(is_cast, next_wave);
-  brought = sum_where(brought, shadow.throughput, reaches_light(casters, shadow.origin, shadow.direction, is_cast));
+  const whole reached = reaches_light(casters, shadow.origin, shadow.direction, is_cast);
+#if SHARED && HAS_SPECULAR
+  if (bounce == 1)
+    add_radiance(shadow.throughput, shadow.path, reached, radiance);
+  else
+#endif
+    brought = sum_where(brought, shadow.throughput, reached);
 #else
   append_rays(&shadow, is_cast, 1, next_plane, next_wave);
 #endif
@@ -242,6 +255,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
     next.throughput = scaled(ray.throughput, (real)share);
     const whole alive = next_ray(&s, geometric_normal, cell, bounce, guide, guide_known, u, v, coordinates[4],
                                  on_surface && both_ways, &next, &brought);
+#if SHARED && HAS_SPECULAR
+    if (bounce == 1) keep_matte(&s, next.direction, branch, on_surface, ray.path, places, hits);
+#endif
     append_rays(&next, alive, 0, next_plane, next_wave);
   }
   /* What roulette is expected to find may be negative. */

@@ -17,7 +17,10 @@
  *   share_paths   coordinates, weights and values of all samples of all members
  *
  * Members are matte and reflect some light. `hits` has a plane of places * float a number of SHARED in share.py: what
- * keep_hit (below) writes of a path's first hit. A batch's entries: sample s that member j drew, as one of point p, is
+ * keep_hit (below) writes of a path's first hit.
+ *
+ * What a lobe at the place sends depends on who looks, and counts for the member that drew it alone. So a path's sums are
+ * kept in SLOTS: of each, keep_matte says how much the place's albedo scattered. A batch's entries: sample s that member j drew, as one of point p, is
  * element (p * MEMBERS + j) * stride + s of `visible`, `u`, `v`, `weight` and of each channel's plane of `value`.
  *
  * Joined after vertex.cl. With SHARES_DENSITY (warp.cl) samples follow the records in `density`.
@@ -26,16 +29,28 @@
  * share_paths has VEC samples of all members of a group.
  */
 
-/* Planes that keep_hit writes, the first so many. */
-#define KEPT SHARED_BEGUN
-#define HIT_PLANE(number) (hits + (number) * (ulong)places)
+/* Sums of what a path brings: one a branch, and one of light that comes straight to a first hit with a lobe. */
+#define SLOTS (BRANCHES + (SHARED && HAS_SPECULAR ? 1 : 0))
 
 #if SHARED
-/* Whether surfaces look the same from everywhere. Not where a normal is the triangle's own because the interpolated one,
- * or a bent one, faces away from where it was seen. */
+#define HIT_PLANE(number) (hits + (number) * (ulong)places)
+#if HAS_SPECULAR
+#define KEPT (SHARED_REFLECTANCE + 3)
+/* The matte part of what is in a slot of the path's sums, a number a channel. */
+#define MATTE_PLANE(slot, channel) HIT_PLANE(SHARED_FLOATS + 3 * (slot) + (channel))
+#else
+#define KEPT SHARED_REFLECTANCE
+#endif
+
+/* Whether surfaces are the same from everywhere, but for a lobe. Not where a normal is the triangle's own because the
+ * interpolated one, or a bent one, faces away from where it was seen. */
 whole looks_alike(global const float *restrict triangles, const whole at, const triple geometric_normal,
                   const Scatterer *s) {
-  whole alike = !is_shiny(s);
+  whole alike = (whole)(-1);
+#if HAS_SPECULAR && HAS_EMISSION
+  /* What it emits has no slot of its own. */
+  alike = !is_shiny(s);
+#endif
 #if HAS_NORMALS
   const whole own = (s->normal.x == geometric_normal.x) && (s->normal.y == geometric_normal.y) &&
                     (s->normal.z == geometric_normal.z);
@@ -44,15 +59,19 @@ whole looks_alike(global const float *restrict triangles, const whole at, const 
 #if HAS_NORMAL_MAPS
   alike = alike && (gather(triangles, at + TRIANGLE_NORMAL_TEXTURE) < 0.0f);
 #endif
-  (void)triangles, (void)at, (void)geometric_normal;
+  (void)triangles, (void)at, (void)geometric_normal, (void)s;
   return alike;
 }
 
 /* The first hits of VEC paths. Shared are those `here`. */
-void keep_hit(const triple position, const triple geometric_normal, const triple normal, const real offset,
+void keep_hit(const triple position, const triple geometric_normal, const Scatterer *s, const real offset,
               const whole here, const bits path, const uint places, global float *restrict hits) {
   const real numbers[KEPT] = {offset, position.x, position.y, position.z, geometric_normal.x, geometric_normal.y,
-                              geometric_normal.z, normal.x, normal.y, normal.z};
+                              geometric_normal.z, s->normal.x, s->normal.y, s->normal.z
+#if HAS_SPECULAR
+                              , s->reflectance.x, s->reflectance.y, s->reflectance.z
+#endif
+  };
   float number[KEPT][VEC];
   uint name[VEC];
   int is_here[VEC];
@@ -63,6 +82,35 @@ void keep_hit(const triple position, const triple geometric_normal, const triple
     if (is_here[lane] != 0)
       for (uint row = 0; row < KEPT; ++row) HIT_PLANE(row)[name[lane]] = number[row][lane];
 }
+
+#if HAS_SPECULAR
+/* What the surface takes from its albedo on a light's way in or out, a channel. */
+real left_by_lobe(const real f0, const real weight) {
+  return 1.0f - SELECT((real)0.0f, f0 + (1.0f - f0) * weight, f0 > 0.0f);
+}
+
+/* Of light that comes to a first hit along `towards` and goes into a slot of the path's sums: what its albedo scatters,
+ * but for what is lost on the way out, over all that it scatters. */
+void keep_matte(const Scatterer *s, const triple towards, const uint slot, const whole here, const bits path,
+                const uint places, global float *restrict hits) {
+  real f_r[3];
+  scattering(s, towards, f_r);
+  const real weight = schlick_weight(dot_triple(s->normal, towards));
+  const real matte[3] = {s->albedo.x * left_by_lobe(s->reflectance.x, weight),
+                         s->albedo.y * left_by_lobe(s->reflectance.y, weight),
+                         s->albedo.z * left_by_lobe(s->reflectance.z, weight)};
+  uint name[VEC];
+  int is_here[VEC];
+  STORE(path, name);
+  STORE(here, is_here);
+  for (uint channel = 0; channel < 3; ++channel) {
+    float part[VEC];
+    STORE(SELECT((real)0.0f, matte[channel] * M_1_PI_F / f_r[channel], f_r[channel] > 0.0f), part);
+    for (uint lane = 0; lane < VEC; ++lane)
+      if (is_here[lane] != 0) MATTE_PLANE(slot, channel)[name[lane]] = part[lane];
+  }
+}
+#endif
 
 /* A point of a group. */
 typedef struct {
@@ -84,6 +132,9 @@ Member load_member(global const float *restrict surface, const uint total_points
 typedef struct {
   triple position, geometric_normal, normal;
   real offset; /* 0: not shared */
+#if HAS_SPECULAR
+  triple reflectance;
+#endif
 } Place;
 
 Place load_place(global const float *restrict hits, const uint places, const ulong at, const Member *member,
@@ -98,6 +149,10 @@ Place load_place(global const float *restrict hits, const uint places, const ulo
                LOAD(HIT_PLANE(SHARED_GEOMETRIC_NORMAL + 2) + at)};
   found.normal = (triple){LOAD(HIT_PLANE(SHARED_NORMAL) + at), LOAD(HIT_PLANE(SHARED_NORMAL + 1) + at),
                           LOAD(HIT_PLANE(SHARED_NORMAL + 2) + at)};
+#if HAS_SPECULAR
+  found.reflectance = (triple){LOAD(HIT_PLANE(SHARED_REFLECTANCE) + at), LOAD(HIT_PLANE(SHARED_REFLECTANCE + 1) + at),
+                               LOAD(HIT_PLANE(SHARED_REFLECTANCE + 2) + at)};
+#endif
   return found;
 }
 
@@ -210,12 +265,56 @@ real density_at(global const uint *restrict record, const real u, const real v) 
 #endif
 
 /* What a path brought, of VEC places, over what its throughput began with. */
-triple found_at(global const float *restrict radiance, const ulong at, const uint places, const real begun) {
-  float sum[3][VEC];
-  for (uint lane = 0; lane < VEC; ++lane)
-    for (uint channel = 0; channel < 3; ++channel)
-      sum[channel][lane] = branch_sum(radiance + (at + lane) * (ulong)RADIANCE_FLOATS + channel, places);
-  return scaled((triple){LOAD(sum[0]), LOAD(sum[1]), LOAD(sum[2])}, 1.0f / max(begun, (real)1e-30f));
+typedef struct {
+  triple all;   /* to the member that drew it */
+  triple matte; /* what the place's albedo scattered of it, but for what is lost on the way out */
+} Found;
+
+Found found_at(global const float *restrict radiance, global const float *restrict hits, const ulong at,
+               const uint places) {
+  real all[3], matte[3];
+  const real inverse = 1.0f / max(LOAD(HIT_PLANE(SHARED_BEGUN) + at), (real)1e-30f);
+  for (uint channel = 0; channel < 3; ++channel) {
+    all[channel] = matte[channel] = (real)0.0f;
+    for (uint slot = 0; slot < SLOTS; ++slot) {
+      global const float *sums = radiance + (at + slot * (ulong)places) * RADIANCE_FLOATS + channel;
+      float sum[VEC];
+      for (uint lane = 0; lane < VEC; ++lane) sum[lane] = sums[lane * RADIANCE_FLOATS];
+      const real brought = LOAD(sum) * inverse;
+      all[channel] += brought;
+#if HAS_SPECULAR
+      matte[channel] = FMA(LOAD(MATTE_PLANE(slot, channel) + at), brought, matte[channel]);
+#else
+      matte[channel] += brought;
+#endif
+    }
+  }
+  return (Found){{all[0], all[1], all[2]}, {matte[0], matte[1], matte[2]}};
+}
+
+/* What leaves a place's albedo for a member. */
+triple matte_from(const Found *found, const Place *place, const triple towards) {
+#if HAS_SPECULAR
+  const real weight = schlick_weight(-dot_triple(place->normal, towards));
+  return (triple){found->matte.x * left_by_lobe(place->reflectance.x, weight),
+                  found->matte.y * left_by_lobe(place->reflectance.y, weight),
+                  found->matte.z * left_by_lobe(place->reflectance.z, weight)};
+#else
+  (void)place, (void)towards;
+  return found->matte;
+#endif
+}
+
+/* One over by how much more than `most` is brought, or 1. */
+real capped_by(const triple brought, const float most) {
+  const real largest = largest_of(brought);
+  return SELECT((real)1.0f, (real)most / largest, largest > most);
+}
+
+void store_value(const triple brought, const ulong plane, global float *restrict value) {
+  STORE(brought.x, value);
+  STORE(brought.y, value + plane);
+  STORE(brought.z, value + 2 * plane);
 }
 
 kernel void share_paths(const uint first_point, const uint point_count, const uint total_points, const uint stride,
@@ -239,7 +338,7 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
   for (uint j = 0; j < MEMBERS; ++j) {
     const ulong own = (first + j) * (ulong)stride + block;
     const Place place = load_place(hits, places, own, &members[j], LOAD(own_u + own));
-    const triple found = found_at(radiance, own, places, LOAD(HIT_PLANE(SHARED_BEGUN) + own));
+    const Found found = found_at(radiance, hits, own, places);
     const whole shared = place.offset > 0.0f;
     /* One over the density of the sample in its own square. */
 #if SHARES_DENSITY
@@ -248,6 +347,7 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
     const real inverse = (real)1.0f;
 #endif
     float part[MEMBERS][VEC];
+    triple own_matte, own_all;
     real total = (real)0.0f;
     for (uint k = 0; k < MEMBERS; ++k) {
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
@@ -265,12 +365,12 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
       }
       const triple throughput = bounce_throughput(&members[k].s, members[k].geometric_normal, towards,
                                                   scattering_density(&members[k].s, towards));
-      const triple brought = product(throughput, found);
-      const real largest = largest_of(brought);
-      const real capped = SELECT((real)1.0f, (real)most / largest, largest > most);
-      STORE(brought.x * capped, value + entry);
-      STORE(brought.y * capped, value + value_plane + entry);
-      STORE(brought.z * capped, value + 2 * value_plane + entry);
+      const triple matte = product(throughput, matte_from(&found, &place, towards));
+      if (k == j) {
+        own_matte = matte;
+        own_all = product(throughput, found.all);
+      }
+      store_value(scaled(matte, capped_by(matte, most)), value_plane, value + entry);
       STORE(to_u, u + entry);
       STORE(to_v, v + entry);
       STORE(open, part[k]);
@@ -285,7 +385,14 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
     for (uint k = 0; k < MEMBERS; ++k) {
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
       const real alone = k == j ? (float)MEMBERS * inverse : (real)0.0f;
-      STORE(SELECT(alone, LOAD(part[k]) * scale, shared), weight + entry);
+      const real counts = SELECT(alone, LOAD(part[k]) * scale, shared);
+      STORE(counts, weight + entry);
+      if (k == j) {
+        /* What a lobe at the place sends is this member's alone. */
+        const real ratio = SELECT((real)1.0f, alone / counts, shared && (counts > 0.0f));
+        const triple brought = sum_of(scaled(own_matte, 1.0f - ratio), own_all, ratio);
+        store_value(scaled(brought, capped_by(own_all, most)), value_plane, value + entry);
+      }
     }
   }
 }

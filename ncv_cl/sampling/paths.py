@@ -178,7 +178,9 @@ class PathSource(SampleSource):
         if branches != self._branches:
             self._branches, most = branches, max(branches * self._capacity, self._most_entries)
             self._wave, self._next = (Wave(self.device, most) for _ in range(2))
-            self._radiance = HostArray(self.device, (most, RADIANCE_FLOATS), np.float32)
+            self._slots = branches + 1
+            sums = (max(most, self._slots * self._capacity), RADIANCE_FLOATS)
+            self._radiance = HostArray(self.device, sums, np.float32)
 
     def draw(
         self,
@@ -198,7 +200,9 @@ class PathSource(SampleSource):
         members = self.members if grouped else 1
         self._paths = self._program_of(members, density is not None)
         if members > 1 and self._entries is None:
-            self._entries = Entries(self.device, members, self._capacity, self._most_entries)
+            self._entries = Entries(
+                self.device, members, self._capacity, self._most_entries, self._slots
+            )
         self._hits = self._entries.hits if members > 1 else self._no_hits
         batch = super().draw(points, samples, stream, order, density)
         begun, traced = time.perf_counter(), self.rays.trace_seconds

@@ -13,7 +13,8 @@ from .samples import Batch
 
 # What is kept of the place that a path reaches first: how far rays leave it off the surface, 0 where it
 # is not shared, and the place itself; and what the path's throughput began with.
-SHARED = Record("SHARED", {"offset": 1, "position": 3, "geometric_normal": 3, "normal": 3, "begun": 1})
+FIELDS = {"offset": 1, "position": 3, "geometric_normal": 3, "normal": 3, "reflectance": 3, "begun": 1}
+SHARED = Record("SHARED", FIELDS)
 
 
 def share_defines(members: int, weighted: bool) -> dict[str, int | str]:
@@ -28,20 +29,20 @@ class Entries:
     Parameters
     ----------
     device
-    members, paths, entries : int
-        Points of a group, paths of a batch at most, and what these give at most.
+    members, paths, entries, slots : int
+        Points of a group; paths of a batch at most, and what these give at most; sums of a path.
 
     Attributes
     ----------
     hits : HostArray
-        float32, planes of SHARED.
+        float32, planes of SHARED, and of what is matte of each slot of a path's sums.
     u, v, weight, value, visible : HostArray
         As share.cl lays them out.
     """
 
-    def __init__(self, device: Device, members: int, paths: int, entries: int) -> None:
+    def __init__(self, device: Device, members: int, paths: int, entries: int, slots: int) -> None:
         self._members = members
-        self.hits = HostArray(device, SHARED.size * paths, np.float32)
+        self.hits = HostArray(device, (SHARED.size + 3 * slots) * paths, np.float32)
         # Places that are not shared are read, and not used.
         self.hits.fill(0.0)
         self.u, self.v, self.weight = (HostArray(device, entries, np.float32) for _ in range(3))
