@@ -75,11 +75,13 @@ void keep_hit(const triple position, const triple geometric_normal, const Scatte
   float number[KEPT][VEC];
   uint name[VEC];
   int is_here[VEC];
+#pragma unroll
   for (uint row = 0; row < KEPT; ++row) STORE(numbers[row], number[row]);
   STORE(path, name);
   STORE(here, is_here);
   for (uint lane = 0; lane < VEC; ++lane)
     if (is_here[lane] != 0)
+#pragma unroll
       for (uint row = 0; row < KEPT; ++row) HIT_PLANE(row)[name[lane]] = number[row][lane];
 }
 
@@ -103,6 +105,7 @@ void keep_matte(const Scatterer *s, const triple towards, const uint slot, const
   int is_here[VEC];
   STORE(path, name);
   STORE(here, is_here);
+#pragma unroll
   for (uint channel = 0; channel < 3; ++channel) {
     float part[VEC];
     STORE(SELECT((real)0.0f, matte[channel] * M_1_PI_F / f_r[channel], f_r[channel] > 0.0f), part);
@@ -181,21 +184,23 @@ kernel void share_rays(const uint first_point, const uint point_count, const uin
   if (item >= point_count / MEMBERS * blocks) return;
   const uint first = item / blocks * MEMBERS;
   const uint block = item % blocks * VEC;
-  Member members[MEMBERS];
-  for (uint k = 0; k < MEMBERS; ++k) members[k] = load_member(surface, total_points, order[first_point + first + k]);
-#if !CASTERS
+#if CASTERS
+  (void)plane;
+#else
   (void)casters;
 #endif
   for (uint j = 0; j < MEMBERS; ++j) {
     const ulong own = (first + j) * (ulong)stride + block;
-    const Place place = load_place(hits, places, own, &members[j], LOAD(own_u + own));
+    const Member finder = load_member(surface, total_points, order[first_point + first + j]);
+    const Place place = load_place(hits, places, own, &finder, LOAD(own_u + own));
     /* Rays end off the surface. */
     const triple end = sum_of(place.position, place.geometric_normal, place.offset);
     for (uint k = 0; k < MEMBERS; ++k) {
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
+      const Member member = load_member(surface, total_points, order[first_point + first + k]);
       Ray ray;
-      const whole open = (place_density(&members[k], &place, &ray.direction) > 0.0f) && (whole)(k != j ? -1 : 0);
-      ray.origin = members[k].origin;
+      const whole open = (place_density(&member, &place, &ray.direction) > 0.0f) && (whole)(k != j ? -1 : 0);
+      ray.origin = member.origin;
       ray.direction = (triple){end.x - ray.origin.x, end.y - ray.origin.y, end.z - ray.origin.z};
 #if CASTERS
       count_shadow_rays(open, wave);
@@ -274,6 +279,7 @@ Found found_at(global const float *restrict radiance, global const float *restri
                const uint places) {
   real all[3], matte[3];
   const real inverse = 1.0f / max(LOAD(HIT_PLANE(SHARED_BEGUN) + at), (real)1e-30f);
+#pragma unroll
   for (uint channel = 0; channel < 3; ++channel) {
     all[channel] = matte[channel] = (real)0.0f;
     for (uint slot = 0; slot < SLOTS; ++slot) {
@@ -333,11 +339,10 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
   const uint first = item / blocks * MEMBERS;
   const uint block = item % blocks * VEC;
   const ulong value_plane = (ulong)places * MEMBERS;
-  Member members[MEMBERS];
-  for (uint k = 0; k < MEMBERS; ++k) members[k] = load_member(surface, total_points, order[first_point + first + k]);
   for (uint j = 0; j < MEMBERS; ++j) {
     const ulong own = (first + j) * (ulong)stride + block;
-    const Place place = load_place(hits, places, own, &members[j], LOAD(own_u + own));
+    const Member finder = load_member(surface, total_points, order[first_point + first + j]);
+    const Place place = load_place(hits, places, own, &finder, LOAD(own_u + own));
     const Found found = found_at(radiance, hits, own, places);
     const whole shared = place.offset > 0.0f;
     /* One over the density of the sample in its own square. */
@@ -346,25 +351,29 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
 #else
     const real inverse = (real)1.0f;
 #endif
-    float part[MEMBERS][VEC];
-    triple own_matte, own_all;
+    const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
+    triple own_matte = zero;
+    triple own_all = zero;
     real total = (real)0.0f;
     for (uint k = 0; k < MEMBERS; ++k) {
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
+      const uint point = order[first_point + first + k];
+      const Member member = load_member(surface, total_points, point);
       float seen[VEC];
+#pragma unroll
       for (uint lane = 0; lane < VEC; ++lane) seen[lane] = (float)visible[entry + lane];
       triple towards;
-      const real open = place_density(&members[k], &place, &towards) * LOAD(seen);
+      const real open = place_density(&member, &place, &towards) * LOAD(seen);
       real to_u, to_v;
       if (k == j) {
         to_u = LOAD(own_u + own);
         to_v = LOAD(own_v + own);
-        towards = sample_scattering(&members[k].s, to_u, to_v);
+        towards = sample_scattering(&member.s, to_u, to_v);
       } else {
-        square_of(&members[k], towards, &to_u, &to_v);
+        square_of(&member, towards, &to_u, &to_v);
       }
-      const triple throughput = bounce_throughput(&members[k].s, members[k].geometric_normal, towards,
-                                                  scattering_density(&members[k].s, towards));
+      const triple throughput = bounce_throughput(&member.s, member.geometric_normal, towards,
+                                                  scattering_density(&member.s, towards));
       const triple matte = product(throughput, matte_from(&found, &place, towards));
       if (k == j) {
         own_matte = matte;
@@ -373,9 +382,10 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
       store_value(scaled(matte, capped_by(matte, most)), value_plane, value + entry);
       STORE(to_u, u + entry);
       STORE(to_v, v + entry);
-      STORE(open, part[k]);
+      /* Until the sum is known. */
+      STORE(open, weight + entry);
 #if SHARES_DENSITY
-      global const uint *record = density + (ulong)order[first_point + first + k] * DENSITY_WORDS;
+      global const uint *record = density + (ulong)point * DENSITY_WORDS;
       total += open * (k == j ? 1.0f / inverse : density_at(record, to_u, to_v));
 #else
       total += open;
@@ -385,7 +395,7 @@ kernel void share_paths(const uint first_point, const uint point_count, const ui
     for (uint k = 0; k < MEMBERS; ++k) {
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
       const real alone = k == j ? (float)MEMBERS * inverse : (real)0.0f;
-      const real counts = SELECT(alone, LOAD(part[k]) * scale, shared);
+      const real counts = SELECT(alone, LOAD(weight + entry) * scale, shared);
       STORE(counts, weight + entry);
       if (k == j) {
         /* What a lobe at the place sends is this member's alone. */

@@ -68,7 +68,9 @@ def allocation_of(
     if before is not None and settings.allocation == "pilot":
         return allocate_by_pilot(before, settings.spp)
     density = settings.residual_density if variate is not None else "none"
-    return Allocation.of_groups(problem.source.groups(settings.seed, density), settings.spp)
+    return Allocation.of_groups(
+        problem.source.groups(density, settings.sampling.supersample**2), settings.spp
+    )
 
 
 def begin(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from .points import ShadingPoints
-from .sampler import HostStream, host_generator
 
 # Bits of a position's place along an axis, by which points are sorted.
 AXIS_BITS = 10
@@ -31,27 +30,44 @@ class Groups:
     members: int = 1
 
 
-def group_points(points: ShadingPoints, members: int, window: int, seed: int) -> Groups:
-    """Groups of `members` points each, at random among those that lie close together and face alike.
+def group_points(points: ShadingPoints, members: int, window: int, apart: int = 1) -> Groups:
+    """Groups of `members` points each, that lie close together and face alike.
 
-    They are drawn from `window` groups' points, so that neighbours in an image rarely share a group, and
-    their errors are independent. Points that reflect no light are in none.
+    Points are dealt to `window` groups in turn, along a curve through space, and then to the next so
+    many. So neighbours, and what is averaged, such as the points of a pixel and several at one position,
+    are in different groups, and their errors independent. Points that reflect no light are in none.
+
+    Parameters
+    ----------
+    window : int
+        Groups that points are dealt to in turn; more where more points lie at one position.
+    apart : int
+        Points of a pixel.
     """
     active = points.active
-    rows = {name: points.rows(name)[:, :active] for name in ("position", "normal", "albedo")}
-    matte = rows["albedo"].sum(axis=0) > 0
-    near = np.lexsort((_curve(rows["position"]), _facing(rows["normal"])))
-    sorted_matte = near[matte[near]]
-    grouped = len(sorted_matte) // members * members
-    generator = host_generator(seed, HostStream.GROUPS)
-    window *= members
-    shuffled = [
-        generator.permutation(sorted_matte[first : min(first + window, grouped)])
-        for first in range(0, grouped, window)
-    ]
-    rest = np.concatenate([sorted_matte[grouped:], np.flatnonzero(~matte)])
-    order = np.concatenate([*shuffled, np.sort(rest)]).astype(np.uint32)
-    return Groups(order, grouped, members)
+    names = ("position", "normal", "albedo", "reflectance")
+    position, normal, albedo, reflectance = (points.rows(name)[:, :active] for name in names)
+    reflects = (albedo.sum(axis=0) > 0) | (reflectance.sum(axis=0) > 0)
+    near = np.lexsort((*position, _curve(position), _facing(normal)))
+    near = near[reflects[near]]
+    apart = max(apart, _most_equal(position[:, near]))
+    groups, first = [], 0
+    while members > 1 and first < len(near):
+        number = min(max(window, apart), (len(near) - first) // members)
+        if number < apart or number == 0:
+            break
+        last = first + number * members
+        groups.append(near[first:last].reshape(members, number).T.ravel())
+        first = last
+    rest = np.sort(np.concatenate([near[first:], np.flatnonzero(~reflects)]))
+    order = np.concatenate([*groups, rest]).astype(np.uint32)
+    return Groups(order, first, members)
+
+
+def _most_equal(position: np.ndarray) -> int:
+    """How many of the positions (3, points), which are sorted, are equal at most."""
+    begins = np.flatnonzero(np.any(np.diff(position, axis=1) != 0, axis=0)) + 1
+    return int(np.diff(begins, prepend=0, append=position.shape[1]).max(initial=0))
 
 
 def _facing(normal: np.ndarray) -> np.ndarray:

@@ -55,8 +55,6 @@ class HostStream(enum.IntEnum):
     TRAINING_POINTS = 2
     POINTS_DONE_TWICE = 3
     DENSITY = 4
-    # Which points share paths.
-    GROUPS = 5
     # The order of directions from points on surfaces.
     PATCH_RAYS = 8
 

@@ -168,10 +168,10 @@ class PathSource(SampleSource):
         sharing = share_defines(members, weighted)
         return build(self.device, self._files, {**self._defines, **self._flags, **sharing})
 
-    def groups(self, seed: int, density: str) -> Groups:
+    def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, if the residual's samples follow a density of this kind."""
         members = 1 if density == "subdivision" else self.members
-        return group_points(self.points, members, tuning.GROUP_WINDOW, seed)
+        return group_points(self.points, members, tuning.GROUP_WINDOW, apart)
 
     def _make_room(self, branches: int) -> None:
         """For so many paths behind the second vertex of each sample's path."""

@@ -143,8 +143,11 @@ class Batches:
         self._slot = HostArray(device, capacity, np.uint32)
         self._visible = HostArray(device, capacity, np.uint8)
 
-    def groups(self, seed: int, density: str) -> Groups:
-        """Which points share paths, where samples follow a density of this kind; none by default."""
+    def groups(self, density: str, apart: int) -> Groups:
+        """Which points share paths, where samples follow a density of this kind; none by default.
+
+        The `apart` points of a pixel do not.
+        """
         return Groups(np.arange(self.points.active, dtype=np.uint32))
 
     def batches(self, count: int | None = None) -> list[range]:
