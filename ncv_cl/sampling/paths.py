@@ -102,6 +102,7 @@ class PathSource(SampleSource):
             "batch",
             "wave",
             "vertex",
+            "place",
             "share",
             "paths",
         )

@@ -18,7 +18,7 @@ SHARED = Record("SHARED", FIELDS)
 
 
 def share_defines(members: int, weighted: bool) -> dict[str, int | str]:
-    """The `-D` constants of share.cl; `weighted` where samples follow densities."""
+    """The `-D` constants of place.cl and share.cl; `weighted` where samples follow densities."""
     own = {"SHARED": int(members > 1), "SHARES_DENSITY": int(weighted and members > 1)}
     return {**own, "MEMBERS": f"{members}u", **SHARED.defines()}
 
