@@ -59,6 +59,8 @@ VALUES = {
     "GUIDED_ROULETTE": ((1, 6.0), (2, 3.0), (2, 4.0), (2, 6.0), (2, 9.0)),
     "LEAST_SURVIVE": (0.02, 0.05, 0.1),
     "BRANCHES": (1, 2, 3),
+    "MEMBERS": (1, 4, 8, 16),
+    "GROUP_WINDOW": (4, 8, 16),
     "MOST_SURVIVE": (0.95, 0.99, 0.995),
     "GUIDE_UNIFORM_SHARE": (0.1, 0.2, 0.3, 0.5),
     "LOCAL_RADIUS": (1, 2, 3, 5),
@@ -151,6 +153,8 @@ TRIALS = {
     "GUIDE_SIDE": Trial(PATHS),
     "GUIDE_UNIFORM_SHARE": Trial(PATHS),
     "GUIDE_PRIOR_SAMPLES": Trial(PATHS),
+    "MEMBERS": Trial(PATHS),
+    "GROUP_WINDOW": Trial(PATHS),
     # With "auto" two uses are the most.
     "EPOCHS": Trial(options={"method": "ncv", "train_spp": 16}),
 }

@@ -14,7 +14,8 @@
  * work-item and a barrier after each step of the merge where LANES > 1, none of either where LANES is 1.
  * No work-item leaves early: those past the end repeat the last point and write nothing.
  * Batch point i is shading point order[first_point + i]. With WEIGHTED each sample counts by its `weight`, one
- * over the density that it was drawn with.
+ * over the density that it was drawn with. Where paths are shared (share.cl) a sample is the mean of `entries` ones, all
+ * weighted: `entries` runs of `stride` elements a point.
  */
 
 #define QUANTITIES (1 + WITH_NETWORK)
@@ -53,7 +54,7 @@ void add_to_state(global float *restrict state, const ulong stride, const float 
 
 kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void accumulate(
     const uint first_point, const uint point_count, const uint total_points, const uint sample_count,
-    const uint stride, const float previous_count, global const uint *restrict order,
+    const uint stride, const uint entries, const float previous_count, global const uint *restrict order,
     global const float *restrict value,
     global const uint *restrict slot, global const uchar *restrict visible,
 #if WEIGHTED
@@ -70,7 +71,8 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   const uint item = (uint)get_global_id(0) / LANES;
   const uint batch_point = min(item, point_count - 1);
   const uint point = order[first_point + batch_point];
-  const ulong plane = (ulong)point_count * stride;
+  const ulong plane = (ulong)point_count * entries * stride;
+  const float entry_share = 1.0f / (float)entries;
 
   real shift[QUANTITIES * CHANNELS];
   real sum[QUANTITIES * CHANNELS];
@@ -83,29 +85,34 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   const bool skips_network = is_constant(&network);
 #endif
   for (uint first = lane * VEC; first < sample_count; first += LANES * VEC) {
-    const ulong at = (ulong)batch_point * stride + first;
-    const real seen = load_visibility(slot, visible, at);
     const whole valid = LANE_NUMBER + first < sample_count;
     const float block_count = (float)min((uint)VEC, sample_count - first);
     real x[QUANTITIES * CHANNELS];
+    for (uint entry = 0; entry < entries; ++entry) {
+      const ulong at = ((ulong)batch_point * entries + entry) * stride + first;
+      const real seen = load_visibility(slot, visible, at);
+      real y[QUANTITIES * CHANNELS];
 #pragma unroll
-    for (uint c = 0; c < CHANNELS; ++c) x[c] = LOAD(value + c * plane + at) * seen;
+      for (uint c = 0; c < CHANNELS; ++c) y[c] = LOAD(value + c * plane + at) * seen;
 #if WITH_NETWORK
-    real g[CHANNELS];
-    if (skips_network) {
+      real g[CHANNELS];
+      if (skips_network) {
 #pragma unroll
-      for (int c = 0; c < CHANNELS; ++c) g[c] = (real)network.b3[c];
-    } else {
-      network_value(&network, LOAD(u + at), LOAD(v + at), g);
-    }
+        for (int c = 0; c < CHANNELS; ++c) g[c] = (real)network.b3[c];
+      } else {
+        network_value(&network, LOAD(u + at), LOAD(v + at), g);
+      }
 #pragma unroll
-    for (int c = 0; c < CHANNELS; ++c) x[CHANNELS + c] = x[c] - g[c];
+      for (int c = 0; c < CHANNELS; ++c) y[CHANNELS + c] = y[c] - g[c];
 #endif
 #if WEIGHTED
-    const real inverse_density = LOAD(weight + at);
+      const real inverse_density = LOAD(weight + at) * entry_share;
 #pragma unroll
-    for (int q = 0; q < QUANTITIES * CHANNELS; ++q) x[q] *= inverse_density;
+      for (int q = 0; q < QUANTITIES * CHANNELS; ++q) y[q] *= inverse_density;
 #endif
+#pragma unroll
+      for (int q = 0; q < QUANTITIES * CHANNELS; ++q) x[q] = entry == 0 ? y[q] : x[q] + y[q];
+    }
 #pragma unroll
     for (int q = 0; q < QUANTITIES * CHANNELS; ++q) {
       if (count == 0.0f)

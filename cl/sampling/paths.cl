@@ -30,15 +30,15 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
                         const uint sample_count, const uint stride, const uint max_depth,
                         global const uint *restrict order, global const float *restrict surface,
                         global const float *restrict lights, global const float *restrict u,
-                        global const float *restrict v, global float *restrict radiance, const uint plane,
-                        global float *restrict wave) {
+                        global const float *restrict v, global float *restrict radiance, global float *restrict hits,
+                        const uint plane, global float *restrict wave) {
   const uint blocks = stride / VEC;
   const uint item = (uint)get_global_id(0);
   if (item >= point_count * blocks) return;
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint branch = 0; branch < BRANCHES; ++branch) {
+  for (uint branch = 0; branch < SLOTS; ++branch) {
     const ulong own = at + branch * (ulong)point_count * stride;
     for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + own * RADIANCE_FLOATS + k * VEC);
   }
@@ -68,6 +68,15 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   /* Without surfaces whose emission paths alone find, one of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_HIDDEN_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
+#if SHARED
+  /* Without colour: what others make of the path is of other colours. */
+  const real begun = mean_of(ray.throughput);
+  ray.throughput = (triple){begun, begun, begun};
+  STORE((real)0.0f, hits + SHARED_OFFSET * (ulong)point_count * stride + at);
+  STORE(begun, hits + SHARED_BEGUN * (ulong)point_count * stride + at);
+#else
+  (void)hits;
+#endif
   append_rays(&ray, alive, 0, plane, wave);
 }
 
@@ -98,7 +107,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
                        global const float *restrict lights,
                        global const float *restrict casters, global const float *restrict guide_frame,
                        global const uint *restrict guide, global const float *restrict guide_known,
-                       global uint *restrict guide_place, const uint plane, global const float *restrict wave,
+                       global uint *restrict guide_place, global float *restrict hits, const uint plane,
+                       global const float *restrict wave,
                        global float *restrict radiance, const uint next_plane, global float *restrict next_wave) {
   const uint first = (uint)get_global_id(0) * VEC;
   if (first >= count) return;
@@ -178,6 +188,16 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #endif
   brought = sum_where(brought, product(ray.throughput, emitted), on_surface);
 #endif
+  /* As surface_offset. */
+  const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
+  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
+#if SHARED
+  if (bounce == 1)
+    keep_hit(position, geometric_normal, &s, offset,
+             on_surface && looks_alike(triangles, at, geometric_normal, &s), ray.path, places, hits);
+#else
+  (void)hits;
+#endif
   /* This bounce's surfaces are lit at depth bounce + 2, and rays that leave them find light of that depth. */
 #if HAS_PANES
   /* Panes that a path went through are no part of its depth. */
@@ -200,9 +220,6 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const uint reach = HAS_HIDDEN_EMISSION ? bounce + 2 : bounce + 3;
   if (reach > max_depth) both_ways = both_ways && is_shiny(&s);
 #endif
-  /* As surface_offset. */
-  const real coordinate = max(fabs(position.x), max(fabs(position.y), fabs(position.z)));
-  const real offset = FMA((real)RELATIVE_OFFSET, coordinate, fabs(gather(triangles, at + TRIANGLE_OFFSET)));
   ray.origin = sum_of(position, geometric_normal, offset);
   /* The path's sample: of which point, and which of its samples.
    * Vectors of integers are divided one by one; places are below 2^22, so this quotient is exact. */
@@ -242,11 +259,24 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
                                ray.throughput.z * f_r[2] * found.radiance[2] * scale};
   shadow.density = (real)0.0f;
   shadow.path = ray.path;
+#if SHARED && HAS_SPECULAR
+  /* Light that comes straight to the first hit has a slot of its own. */
+  if (bounce == 1) {
+    shadow.path += BRANCHES * places;
+    keep_matte(&s, found.towards, BRANCHES, on_surface, ray.path, places, hits);
+  }
+#endif
   shadow.strips = ray.strips;
   const whole is_cast = lit && (largest_of(shadow.throughput) > 0.0f);
 #if CASTERS
   count_shadow_rays(is_cast, next_wave);
-  brought = sum_where(brought, shadow.throughput, reaches_light(casters, shadow.origin, shadow.direction, is_cast));
+  const whole reached = reaches_light(casters, shadow.origin, shadow.direction, is_cast);
+#if SHARED && HAS_SPECULAR
+  if (bounce == 1)
+    add_radiance(shadow.throughput, shadow.path, reached, radiance);
+  else
+#endif
+    brought = sum_where(brought, shadow.throughput, reached);
 #else
   append_rays(&shadow, is_cast, 1, next_plane, next_wave);
 #endif
@@ -302,6 +332,9 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #if HAS_GLASS
     next.origin = leaving_from(position, geometric_normal, offset, next.direction);
 #endif
+#if SHARED && HAS_SPECULAR
+    if (bounce == 1) keep_matte(&s, next.direction, branch, on_surface, ray.path, places, hits);
+#endif
     append_rays(&next, alive, 0, next_plane, next_wave);
   }
   /* What roulette is expected to find may be negative. */
@@ -314,13 +347,6 @@ kernel void add_lit(const uint count, const uint plane, global const float *rest
   if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
   global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
   for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
-}
-
-/* What all branches of the paths at `places` brought to a place. */
-float branch_sum(global const float *restrict first, const uint places) {
-  float sum = first[0];
-  for (uint branch = 1; branch < BRANCHES; ++branch) sum += first[branch * (ulong)places * RADIANCE_FLOATS];
-  return sum;
 }
 
 /* `most` caps what a path brings, by its largest channel. */

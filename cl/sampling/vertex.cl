@@ -242,3 +242,9 @@ whole past_panes(const Scatterer *s, const Ray *before, const whole is_lit, cons
   return passes || is_lit;
 }
 #endif
+/* What all branches of the paths at `places` brought to a place. */
+float branch_sum(global const float *restrict first, const uint places) {
+  float sum = first[0];
+  for (uint branch = 1; branch < BRANCHES; ++branch) sum += first[branch * (ulong)places * RADIANCE_FLOATS];
+  return sum;
+}

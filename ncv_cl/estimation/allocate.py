@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..points.groups import Groups
 from . import tuning
 
 # Samples are numbered by 32 bits.
@@ -33,16 +34,26 @@ class Allocation:
         int64 (chosen,), samples of each of them.
     at_once : int
         Samples of a point that the first pass draws at least.
+    grouped, members : int
+        The first so many of `chosen` share paths, in groups of `members` (`Groups`).
     """
 
     chosen: np.ndarray
     counts: np.ndarray
     at_once: int = 1
+    grouped: int = 0
+    members: int = 1
 
     @classmethod
     def uniform(cls, chosen: np.ndarray, count: int) -> Allocation:
         """The same number for every chosen point, in the order given."""
         return cls(chosen, np.broadcast_to(np.int64(count), len(chosen)))
+
+    @classmethod
+    def of_groups(cls, groups: Groups, count: int) -> Allocation:
+        """The same number for every point."""
+        counts = np.full(len(groups.order), count, np.int64)
+        return cls(groups.order, counts, grouped=groups.grouped, members=groups.members)
 
     @classmethod
     def of_counts(cls, counts: np.ndarray) -> Allocation:
@@ -54,11 +65,15 @@ class Allocation:
         return cls(chosen, np.asarray(counts, np.int64)[chosen], 2)
 
     def restricted(self, points: np.ndarray, total: int) -> Allocation:
-        """The same numbers for some of the points only; `total` is the number of all points."""
+        """The same numbers for some of the points only; `total` is the number of all points.
+
+        Of groups all members or none must be among them.
+        """
         mask = np.zeros(total, bool)
         mask[points] = True
         kept = mask[self.chosen]
-        return Allocation(self.chosen[kept], self.counts[kept], self.at_once)
+        grouped = int(np.count_nonzero(kept[: self.grouped]))
+        return Allocation(self.chosen[kept], self.counts[kept], self.at_once, grouped, self.members)
 
     @property
     def samples(self) -> int:

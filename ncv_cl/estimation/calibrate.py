@@ -9,6 +9,7 @@ import numpy as np
 from ..points.sampler import HostStream, host_generator
 from ..sampling.accumulate import Estimate
 from . import tuning
+from .allocate import Allocation
 
 # Points that are worked at together, where more would only take memory.
 POINTS_AT_ONCE = 1 << 20
@@ -16,12 +17,23 @@ POINTS_AT_ONCE = 1 << 20
 LEAST_RATIO = 1e-9
 
 
-def points_done_twice(points: int, seed: int) -> np.ndarray:
-    """Indices of the points to estimate a second time, uint32, sorted; at random."""
+def points_done_twice(points: int, seed: int, allocation: Allocation | None = None) -> np.ndarray:
+    """Indices of the points to estimate a second time, uint32, sorted; at random.
+
+    Where the `allocation` has groups, which share paths, it has all points, and groups are estimated a
+    second time as wholes.
+    """
     wanted = np.clip(points * tuning.TWICE_SHARE, tuning.FEWEST_TWICE, tuning.MOST_TWICE)
     count = max(min(points, 1), int(min(wanted, points * tuning.LARGEST_TWICE_SHARE)))
     generator = host_generator(seed, HostStream.POINTS_DONE_TWICE)
-    return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
+    if allocation is None or not allocation.grouped:
+        return np.sort(generator.choice(points, count, replace=False)).astype(np.uint32)
+    groups = allocation.chosen[: allocation.grouped].reshape(-1, allocation.members)
+    others = allocation.chosen[allocation.grouped :]
+    number = max(1, round(count / points * len(groups)))
+    chosen = groups[generator.choice(len(groups), number, replace=False)].ravel()
+    alone = generator.choice(len(others), round(count / points * len(others)), replace=False)
+    return np.sort(np.concatenate([chosen, others[alone]]))
 
 
 def local_mean(values: np.ndarray, cell: np.ndarray, columns: int, rows: int) -> np.ndarray:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..host.clock import Run
 from ..sampling.accumulate import Estimate
 from ..sampling.problem import Problem
@@ -69,8 +67,16 @@ def allocation_of(
         return Allocation.of_counts(allocate(magnitude, settings.spp))
     if before is not None and settings.allocation == "pilot":
         return allocate_by_pilot(before, settings.spp)
-    everything = np.arange(problem.points.active, dtype=np.uint32)
-    return Allocation.uniform(everything, settings.spp)
+    return grouped_allocation(problem, settings, variate is not None, settings.spp)
+
+
+def grouped_allocation(
+    problem: Problem, settings: Settings, has_network: bool, count: int
+) -> Allocation:
+    """The same number of samples for every point; those that share paths in groups."""
+    density = settings.residual_density if has_network else "none"
+    groups = problem.source.groups(density, settings.sampling.supersample**2)
+    return Allocation.of_groups(groups, count)
 
 
 def begin(

@@ -67,7 +67,7 @@ class ImageEstimate:
         streams: tuple[Stream, Stream] | None = None,
     ) -> None:
         device, points, channels = problem.device, problem.points, problem.source.channels
-        self._problem, self._settings = problem, settings
+        self._problem, self._settings, self._allocation = problem, settings, allocation
         self._points = points
         self._magnitude = density.magnitude if density is not None else None
         elsewhere = problem.carrier is not None
@@ -80,7 +80,7 @@ class ImageEstimate:
         # The variance of independent samples follows from the samples; stratified ones need points that
         # are estimated twice.
         if points.active and settings.sampling.sampler != "independent":
-            self.twice = points_done_twice(points.active, settings.seed)
+            self.twice = points_done_twice(points.active, settings.seed, allocation)
             self._second = Accumulator(device, points, channels, folded, self.twice, elsewhere)
             restricted = allocation.restricted(self.twice, points.active)
             targets.append(Target(self._second, restricted, again))
@@ -221,8 +221,15 @@ class ImageEstimate:
         device, source = self._problem.device, self._problem.source
         rays = replace(source.rays)
         accumulator = Accumulator(device, self._points, source.channels, self._first.network)
-        order = HostArray.of(device, np.zeros(1, np.uint32))
-        accumulator.add(source.draw(range(1), range(1), Stream.WARM_UP, order, self._warp))
+        order = HostArray.of(device, self._allocation.chosen)
+        grouped = self._allocation.grouped
+        for first, last in ((0, min(grouped, self._allocation.members)), (grouped, grouped + 1)):
+            shared = {"grouped": True} if last <= grouped else {}
+            if first < last <= len(self._allocation.chosen):
+                batch = source.draw(
+                    range(first, last), range(1), Stream.WARM_UP, order, self._warp, **shared
+                )
+                accumulator.add(batch)
         device.queue.finish()
         source.rays = rays
 

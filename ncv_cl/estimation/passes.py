@@ -165,8 +165,9 @@ class Passes:
         most_points = self._density.most_points if self._density is not None else None
         for run in allocation.part(*(int(self.edges[k]) for k in (number, number + 1, -1))):
             drawn[run.points.start : run.points.stop] = len(run.samples)
-            for points, samples in source.parts(*run, most_points):
-                batch = source.draw(points, samples, stream, order, self._density)
+            for points, samples in source.parts(*run, most_points, allocation.grouped):
+                shared = {"grouped": True} if points.start < allocation.grouped else {}
+                batch = source.draw(points, samples, stream, order, self._density, **shared)
                 with self._watch("estimate"):
                     accumulator.add(batch, samples.start)
                     if not source.runs_ahead:

@@ -11,7 +11,7 @@ import numpy as np
 from ..estimation.allocate import Allocation
 from ..estimation.control_variate import ControlVariate, Trained, control_variate, idle
 from ..estimation.direct import DirectEstimate, direct_edges
-from ..estimation.draw import Drawn, allocation_of, begin, draw, finish
+from ..estimation.draw import Drawn, allocation_of, begin, draw, finish, grouped_allocation
 from ..estimation.passes import edges_of
 from ..estimation.pilot import draw_pilot
 from ..estimation.stopping import ErrorTarget
@@ -221,8 +221,10 @@ def _before_image(
     resumed = keep.resumed
 
     def save() -> None:
-        everything = np.arange(problem.points.active, dtype=np.uint32)
-        allocation = Allocation.uniform(everything, settings.spp)
+        # Only which points are done twice counts, and that follows from the groups.
+        allocation = grouped_allocation(problem, settings, variate is not None, settings.spp)
+        if settings.allocation == "relative":
+            allocation = Allocation.of_counts(np.full(problem.points.active, settings.spp))
         done = None if resumed is None else resumed.image.edges
         image_estimate = begin(problem, settings, run, variate, allocation, done)
         if resumed is not None:

@@ -166,6 +166,7 @@ class Accumulator:
             total_points=self.points.active,
             sample_count=batch.samples,
             stride=batch.stride,
+            entries=batch.entries,
             previous_count=float(previous),
             order=batch.order,
             value=batch.value,

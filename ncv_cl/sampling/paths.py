@@ -11,7 +11,8 @@ from ..integrands import GlobalIllumination, Integrand
 from ..integrands.lights import LIGHT_FILES
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
-from ..opencl.program import build
+from ..opencl.program import Program, build
+from ..points.groups import Groups, group_points
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import sampler_defines
 from ..points.textures import Textures, texture_defines
@@ -23,7 +24,8 @@ from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
 from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
-from .samples import NO_RAY, Batch, SampleSource, ray_defines
+from .samples import LONGEST_RUN, NO_RAY, Batch, SampleSource, ray_defines
+from .share import Entries, share_defines
 from .triangles import triangle_records
 from .warp import Warp, warp_defines
 from .wave import Wave, wave_defines
@@ -74,6 +76,9 @@ class PathSource(SampleSource):
         *rest: Any,
         shadows_tested: bool = False,
     ) -> None:
+        # Where direct light comes by the same samples, its points on lights are each point's own; and
+        # glass does not send out the same to two points.
+        self.members = 1 if integrand.direct or scene.has_glass else tuning.MEMBERS
         super().__init__(device, scene, tracer, points, integrand, sampler, *rest)
         self._max_depth = integrand.max_depth or EVERY_DEPTH
         self._most = np.inf if integrand.clamp is None else integrand.clamp
@@ -104,6 +109,8 @@ class PathSource(SampleSource):
             "batch",
             "wave",
             "vertex",
+            "place",
+            "share",
             "paths",
         )
         self._defines = {
@@ -124,10 +131,13 @@ class PathSource(SampleSource):
             "GLASS_ROULETTE_SCALE": f"{tuning.ROULETTE[1]!r}f",
         }
         self._branches = 0
+        self._most_entries = max(self._capacity, self.members**2 * LONGEST_RUN)
+        self._entries: Entries | None = None
+        self._no_hits = HostArray(device, 1, np.float32)
         self._choose_program()
         self._place = _zeros(device, self._capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
-        self._whole_slot = _zeros(device, self._capacity, np.uint32)
+        self._whole_slot = _zeros(device, self._most_entries, np.uint32)
         self._whole_visible = HostArray.of(device, np.ones(1, np.uint8))
 
     def record_guide(self) -> None:
@@ -155,21 +165,32 @@ class PathSource(SampleSource):
         guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         self._make_room(tuning.BRANCHES if guided else 1)
-        flags = {
+        self._flags = {
             "BRANCHES": f"{self._branches}u",
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
             "ROULETTE_BOUNCE": f"{bounce}u",
             "ROULETTE_SCALE": f"{scale!r}f",
         }
-        self._paths = build(self.device, self._files, {**self._defines, **flags})
+        self._paths = self._program_of(1)
+
+    def _program_of(self, members: int, weighted: bool = False) -> Program:
+        sharing = share_defines(members, weighted)
+        return build(self.device, self._files, {**self._defines, **self._flags, **sharing})
+
+    def groups(self, density: str, apart: int) -> Groups:
+        """Which points share paths, if the residual's samples follow a density of this kind."""
+        members = 1 if density == "subdivision" else self.members
+        return group_points(self.points, members, tuning.GROUP_WINDOW, apart)
 
     def _make_room(self, branches: int) -> None:
         """For so many paths behind the second vertex of each sample's path."""
         if branches != self._branches:
-            self._branches, most = branches, branches * self._capacity
+            self._branches, most = branches, max(branches * self._capacity, self._most_entries)
             self._wave, self._next = (Wave(self.device, most, self._panes) for _ in range(2))
-            self._radiance = HostArray(self.device, (most, RADIANCE_FLOATS), np.float32)
+            self._slots = branches + 1
+            sums = (max(most, self._slots * self._capacity), RADIANCE_FLOATS)
+            self._radiance = HostArray(self.device, sums, np.float32)
 
     def draw(
         self,
@@ -178,17 +199,26 @@ class PathSource(SampleSource):
         stream: int,
         order: HostArray | None = None,
         density: Warp | None = None,
+        grouped: bool = False,
         paths: int | None = None,
     ) -> Batch:
         """As `SampleSource.draw`; all samples of the batch are visible, their values complete.
 
-        With `paths`, a stream of its own for all but (u, v): other estimates at the same points.
+        With `paths`, a stream of its own for all but (u, v): other estimates at the same points. With
+        `grouped`, the points are whole `groups`, which share their paths.
 
         Raises
         ------
         ValueError
             More points, times samples, than `MOST_PLACES`.
         """
+        members = self.members if grouped else 1
+        self._paths = self._program_of(members, density is not None)
+        if members > 1 and self._entries is None:
+            self._entries = Entries(
+                self.device, members, self._capacity, self._most_entries, self._slots
+            )
+        self._hits = self._entries.hits if members > 1 else self._no_hits
         batch = super().draw(points, samples, stream, order, density)
         places = len(batch.points) * batch.stride
         if places > MOST_PLACES:
@@ -207,6 +237,10 @@ class PathSource(SampleSource):
             bounce += 1
         if under_way is not None:
             self._record(*under_way)
+        if members > 1:
+            self._share(batch, density)
+            self._count_seconds(begun, traced)
+            return self._entries.batch(batch, self._whole_slot, self._whole_visible)
         self._paths.kernel("finish_paths")(
             -(-places // self.device.vector_width),
             count=places,
@@ -216,13 +250,61 @@ class PathSource(SampleSource):
             radiance=self._radiance,
             value=batch.value,
         )
-        self.device.queue.finish()
-        traced = self.rays.trace_seconds - traced
-        self.rays.sample_seconds += time.perf_counter() - begun - traced
+        self._count_seconds(begun, traced)
         return Batch(
             points, batch.order, batch.samples, batch.stride, batch.u, batch.v, batch.value,
             self._whole_slot, self._whole_visible, batch.weight,
         )  # fmt: skip
+
+    def _count_seconds(self, begun: float, traced: float) -> None:
+        """The seconds of a batch begun then, when rays had been `traced` for so many."""
+        self.device.queue.finish()
+        self.rays.sample_seconds += time.perf_counter() - begun - (self.rays.trace_seconds - traced)
+
+    def _share(self, batch: Batch, density: Warp | None) -> None:
+        """What the paths of each group's members found, for all of them."""
+        entries, wave = self._entries, self._wave
+        common = {
+            "first_point": batch.points.start,
+            "point_count": len(batch.points),
+            "total_points": self.points.total,
+            "stride": batch.stride,
+            "places": len(batch.points) * batch.stride,
+            "order": batch.order,
+            "surface": self.points.surface,
+            "hits": entries.hits,
+            "visible": entries.visible,
+        }
+        items = common["places"] // (self.members * self.device.vector_width)
+        wave.make_room(common["places"] * self.members)
+        self._paths.kernel("share_rays")(
+            items, **common, casters=self._casters, own_u=batch.u, plane=wave.plane, wave=wave.words
+        )
+        self._trace()
+        if wave.shadows:
+            self._paths.kernel("share_seen")(
+                wave.shadows,
+                count=wave.shadows,
+                plane=wave.plane,
+                wave=wave.words,
+                visible=entries.visible,
+            )
+        weights = {}
+        if density is not None:
+            weights = {"density": density.records(batch.order, batch.points), "own_weight": batch.weight}
+        self._paths.kernel("share_paths")(
+            items,
+            **common,
+            most=self._most,
+            radiance=self._radiance,
+            own_u=batch.u,
+            own_v=batch.v,
+            **weights,
+            u=entries.u,
+            v=entries.v,
+            weight=entries.weight,
+            value=entries.value,
+        )
 
     def _begin(self, batch: Batch) -> None:
         """The first rays."""
@@ -242,6 +324,7 @@ class PathSource(SampleSource):
             u=batch.u,
             v=batch.v,
             radiance=self._radiance,
+            hits=self._hits,
             plane=wave.plane,
             wave=wave.words,
         )
@@ -310,6 +393,7 @@ class PathSource(SampleSource):
             guide=self._guide_densities,
             guide_known=self._guide_known,
             guide_place=self._place,
+            hits=self._hits,
             plane=wave.plane,
             wave=wave.words,
             radiance=self._radiance,

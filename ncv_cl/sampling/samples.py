@@ -11,6 +11,7 @@ from ..integrands import Integrand
 from ..opencl.device import Device
 from ..opencl.memory import HostArray
 from ..opencl.program import build
+from ..points.groups import Groups
 from ..points.points import ShadingPoints, surface_defines
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..points.trace import Tracer
@@ -57,6 +58,9 @@ class Batch:
         Coordinates, values without shadow, and where in `visible` (uint8) a sample's ray was answered.
     weight : HostArray, optional
         One over the density that the samples were drawn with; None: uniform.
+    entries : int
+        Weighted values that each sample is the mean of, `stride` elements apart; more than one where
+        points share paths.
     """
 
     points: range
@@ -69,6 +73,7 @@ class Batch:
     slot: HostArray
     visible: HostArray
     weight: HostArray | None = None
+    entries: int = 1
 
 
 class Batches:
@@ -87,12 +92,15 @@ class Batches:
         Whether samples are slices of the hemisphere.
     by_kernels : bool
         Whether paths are traced by kernels, and none by the host.
+    members : int
+        Points that share paths where points do.
     runs_ahead : bool
         Whether the host waits for nothing while it draws: samples come in the order they are asked for.
     """
 
     sliced = False
     by_kernels = False
+    members = 1
     runs_ahead = False
 
     def __init__(
@@ -105,7 +113,7 @@ class Batches:
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
         self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
-        capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN)
+        capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN * self.members)
         self._u = HostArray(device, capacity, np.float32)
         self._v = HostArray(device, capacity, np.float32)
         self._value = HostArray(device, (self.channels, capacity), np.float32)
@@ -138,6 +146,13 @@ class Batches:
         self.points, self.rays = points, RayCount()
         self._every_point = HostArray.of(self.device, np.arange(points.active, dtype=np.uint32))
 
+    def groups(self, density: str, apart: int) -> Groups:
+        """Which points share paths, where samples follow a density of this kind; none by default.
+
+        The `apart` points of a pixel do not.
+        """
+        return Groups(np.arange(self.points.active, dtype=np.uint32))
+
     def batches(self, count: int | None = None) -> list[range]:
         """`count` points (all active ones by default) cut into ranges that fit a batch."""
         step = self.points_per_batch
@@ -145,18 +160,22 @@ class Batches:
         return [range(first, min(first + step, count)) for first in range(0, count, step)]
 
     def parts(
-        self, points: range, samples: range, most_points: int | None = None
+        self, points: range, samples: range, most_points: int | None = None, grouped: int = 0
     ) -> list[tuple[range, range]]:
-        """`samples` of each of `points`, cut into ranges of both that fit a batch."""
+        """`samples` of each of `points`, cut into ranges of both that fit a batch.
+
+        The first `grouped` points share paths, and are in other ranges than those that do not.
+        """
         found = []
         for first in range(samples.start, samples.stop, LONGEST_RUN):
             part = range(first, min(first + LONGEST_RUN, samples.stop))
             step = max(1, self._capacity // self._stride_of(len(part)))
             step = min(step, most_points or step)
-            found += [
-                (range(a, min(a + step, points.stop)), part)
-                for a in range(points.start, points.stop, step)
-            ]
+            edge = min(max(points.start, grouped), points.stop)
+            # Groups are not cut, and a batch has room for what each of its points gets of all members.
+            together = max(1, step // self.members**2) * self.members
+            for start, stop, length in ((points.start, edge, together), (edge, points.stop, step)):
+                found += [(range(a, min(a + length, stop)), part) for a in range(start, stop, length)]
         return found
 
     def _stride_of(self, samples: int) -> int:

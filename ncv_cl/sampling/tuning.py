@@ -18,6 +18,11 @@ MOST_SURVIVE = 0.99
 # theirs: python bench/bench_tuning.py BRANCHES.
 BRANCHES = 2
 
+# Points that share paths, and groups that points which lie together are dealt to in turn:
+# python bench/bench_tuning.py MEMBERS GROUP_WINDOW.
+MEMBERS = 8
+GROUP_WINDOW = 8
+
 # What guides paths: boxes along each axis of the scene, a power of two, the part of every density that
 # is uniform, and the samples that what is known of coarser boxes counts for:
 # python bench/bench_tuning.py GUIDE_SIDE GUIDE_UNIFORM_SHARE GUIDE_PRIOR_SAMPLES.

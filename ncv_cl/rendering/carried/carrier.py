@@ -19,6 +19,7 @@ from ...host.clock import Run
 from ...machines.crew import Crew, Job
 from ...machines.values import Values
 from ...points.arrays import PointArrays
+from ...points.groups import BLOCK_POINTS
 from ...sampling.callable import CallableSource
 from ...sampling.guide import Guide
 from ...sampling.problem import Problem
@@ -142,15 +143,21 @@ class Carrier:
     ) -> Iterator[tuple[range, TileResult]]:
         """Points and what has come of them, in the order in which workers return them."""
         wanted = image_estimate.begin_step(*step)
-        once = targets[0].allocation.at_once
-        streams = [target.stream for target in targets]
-        found = EstimateSpec(apart, [int(one) for one in edges], once, image_estimate.twice, streams)
-        estimate = self.values.put(found, "the estimate")
         allocation = targets[0].allocation
+        streams, grouped = [target.stream for target in targets], allocation.grouped > 0
+        found = EstimateSpec(
+            apart,
+            [int(one) for one in edges],
+            allocation.at_once,
+            image_estimate.twice,
+            streams,
+            grouped,
+        )
+        estimate = self.values.put(found, "the estimate")
         counts = np.zeros(self._problem.points.active, np.int64)
         counts[allocation.chosen] = allocation.counts
         share = (edges[step[1]] - edges[step[0]]) / edges[-1]
-        tiles = self._tiles(image_estimate.ahead, float(counts.mean()) * share)
+        tiles = self._tiles(image_estimate.ahead, float(counts.mean()) * share, grouped)
 
         def jobs() -> Iterator[Job]:
             for tile in tiles:
@@ -170,13 +177,18 @@ class Carrier:
             self.devices.setdefault(result.device, []).append((request.begin, request.end))
             yield range(request.begin, request.end), result
 
-    def _tiles(self, ahead: np.ndarray, samples: float) -> list[range]:
-        """The points that are not `ahead`, cut into tasks; `samples` a point of each."""
+    def _tiles(self, ahead: np.ndarray, samples: float, grouped: bool) -> list[range]:
+        """The points that are not `ahead`, cut into tasks; `samples` a point of each.
+
+        Where points are `grouped`, tasks are of whole blocks, which begin where the first point does.
+        """
         total, size = len(ahead), self._machine.task_points
         if size is None:
             by_samples = PATHS_A_TASK if self._settings.integrand.nested else SAMPLES_A_TASK
             size = min(int(by_samples / max(samples, 1.0)), MOST_POINTS, -(-total // FEWEST_TASKS))
             size = max(size, FEWEST_POINTS)
+        if grouped:
+            size = -(-size // BLOCK_POINTS) * BLOCK_POINTS
         # Cells increase but where what is done last begins.
         cells, ends = self._problem.points.cell[:total], {0, total}
         if self._has_cells:

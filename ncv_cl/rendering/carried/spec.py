@@ -85,6 +85,8 @@ class EstimateSpec:
         uint32, points that are estimated twice.
     streams : list of Stream
         One a target.
+    grouped : bool
+        Whether points share paths, as the sample source groups them.
     """
 
     apart: bool
@@ -92,6 +94,7 @@ class EstimateSpec:
     at_once: int
     twice: np.ndarray
     streams: list[Stream]
+    grouped: bool
 
 
 @dataclass(frozen=True)

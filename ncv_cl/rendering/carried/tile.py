@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...estimation.allocate import Allocation
+from ...estimation.draw import grouped_allocation
 from ...estimation.image_estimate import warp_of
 from ...estimation.passes import Passes, Target
 from ...host.clock import Stopwatch
@@ -214,7 +215,8 @@ def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
                 folded, density = _control_variate(problem, bench.settings, learned, own.alpha)
         if density is not None:
             warp = warp_of(bench.device, bench.settings.residual_density, folded, density)
-        targets = _targets(problem, estimate, request, own, folded)
+        settings = bench.settings if estimate.grouped else None
+        targets = _targets(problem, estimate, request, own, folded, settings)
         means: list[np.ndarray] = []
 
         def keep(done: int) -> None:
@@ -257,15 +259,25 @@ def _targets(
     request: Request,
     own: TileData,
     folded: FoldedNetwork | None,
+    grouped_by: Settings | None,
 ) -> list[Target]:
-    """The estimates to be drawn, with what earlier passes have left."""
+    """The estimates to be drawn, with what earlier passes have left.
+
+    Parameters
+    ----------
+    grouped_by : Settings, optional
+        Those by which the points share paths, if they do.
+    """
     points = problem.points
     counts = np.broadcast_to(np.asarray(own.counts, np.int64), points.active)
-    order = np.argsort(counts, kind="stable").astype(np.uint32)
-    order = order[counts[order] > 0]
+    if grouped_by is None:
+        order = np.argsort(counts, kind="stable").astype(np.uint32)
+        order = order[counts[order] > 0]
+        whole = Allocation(order, counts[order], estimate.at_once)
+    else:
+        whole = grouped_allocation(problem, grouped_by, folded is not None, int(own.counts))
     first, last = np.searchsorted(estimate.twice, (request.begin, request.end))
     twice = estimate.twice[first:last] - np.uint32(request.begin)
-    whole = Allocation(order, counts[order], estimate.at_once)
     targets = []
     for number, stream in enumerate(estimate.streams):
         allocation = whole if number == 0 else whole.restricted(twice, points.active)
