@@ -197,13 +197,12 @@ def test_lines_are_for_area_lights(one_device):
     ncv.render(scene, "ao", visibility="lines", spp=4, size=(4, 4), device=one_device)
 
 
-@pytest.mark.parametrize("turned", [(50.0, (0, 0, 1)), (20.0, (1, 2, -0.5))])
-def test_mitsuba_sees_the_same(one_device, turned):
+def test_mitsuba_sees_the_same(one_device):
     pytest.importorskip("mitsuba", reason="mitsuba is not installed")
     sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
     from mitsuba_scene import MitsubaScene, import_mitsuba
 
-    rotation, up = turned
+    rotation, up = 20.0, (1, 2, -0.5)
     pixels = np.random.default_rng(2).gamma(1.0, 1.0, (8, 16, 3)).astype(np.float32)
     scene = scene_of(Environment(pixels, rotation, up), albedo=np.array([0.7, 0.6, 0.5]))
     theirs = MitsubaScene(import_mitsuba(), scene)
