@@ -196,11 +196,11 @@ def test_samples_bring_radiance_over_density(device, name, normal):
 
 
 @pytest.mark.parametrize("name", ["constant", "image", "overcast", "clear, with the sun"])
-def test_densities_integrate_to_one(device, name):
+def test_densities_integrate_to_one(one_device, name):
     scene = under(without_suns(SKIES[name]))
     # Cells of the map begin and end with cells of the grid, over which densities are linear.
     towards, solid_angle = sphere(scene.environment, 1024)
-    found = seen(device, scene, towards)
+    found = seen(one_device, scene, towards)
     assert found[3:].sum(axis=1) * solid_angle == pytest.approx([1, 1], abs=1e-4)
 
 
@@ -226,11 +226,11 @@ def test_suns_have_their_strip_of_equal_solid_angles(device):
 
 
 @pytest.mark.parametrize("name", ["image", "clear, with the sun"])
-def test_samples_fall_as_their_density_says(device, name):
+def test_samples_fall_as_their_density_says(one_device, name):
     scene = under(without_suns(SKIES[name]))
     axes = scene.environment.axes
     u, v = np.random.default_rng(5).random((2, 1 << 18)).astype(np.float32).astype(float)
-    found = sampled(device, scene, (0, 1, 0), u, v)
+    found = sampled(one_device, scene, (0, 1, 0), u, v)
     bins = 16
 
     def bin_of(towards: np.ndarray) -> np.ndarray:
@@ -241,7 +241,7 @@ def test_samples_fall_as_their_density_says(device, name):
 
     counts = np.bincount(bin_of(found.towards), minlength=bins**2)
     towards, solid_angle = sphere(scene.environment, 1024)
-    expected = np.bincount(bin_of(towards), seen(device, scene, towards)[3], bins**2)
+    expected = np.bincount(bin_of(towards), seen(one_device, scene, towards)[3], bins**2)
     expected *= solid_angle * len(u)
     used = expected > 20
     statistic = ((counts - expected)[used] ** 2 / expected[used]).sum()
@@ -251,7 +251,7 @@ def test_samples_fall_as_their_density_says(device, name):
 
 
 @pytest.mark.parametrize("name", ["image", "overcast", "clear, with the sun"])
-def test_directions_do_not_jump_where_rows_of_the_map_meet(device, name):
+def test_directions_do_not_jump_where_rows_of_the_map_meet(one_device, name):
     scene = under(without_suns(SKIES[name]))
     rows = light_rows(scene)
     floor = rows.table[cell_of(rows.cells, np.zeros((1, 3)), np.array([[0, 1.0, 0]]))]
@@ -259,18 +259,20 @@ def test_directions_do_not_jump_where_rows_of_the_map_meet(device, name):
     edges = edges[(edges > 1e-3) & (edges < 1 - 1e-3)]
     assert len(edges) > 20
     u, v = (one.ravel() for one in np.meshgrid(np.linspace(0.01, 0.99, 64), edges))
-    here, there = (sampled(device, scene, (0, 1, 0), u, v + sign * 2.0**-20) for sign in (-1, 1))
+    here, there = (sampled(one_device, scene, (0, 1, 0), u, v + sign * 2.0**-20) for sign in (-1, 1))
     assert np.linalg.norm(there.towards - here.towards, axis=1).max() < 4e-3
 
 
-def test_the_seam_joins_and_the_poles_are_points(device):
+def test_the_seam_joins_and_the_poles_are_points(one_device):
     scene = under(without_suns(SKIES["clear, with the sun"]))
     v = np.linspace(0.01, 0.99, 64)
-    ends = [sampled(device, scene, (0, 1, 0), np.full(64, u), v).towards for u in (0.0, 1 - 2.0**-24)]
+    ends = [
+        sampled(one_device, scene, (0, 1, 0), np.full(64, u), v).towards for u in (0.0, 1 - 2.0**-24)
+    ]
     assert np.linalg.norm(ends[0] - ends[1], axis=1).max() < 1e-3
     # With all directions in the map v = 0 is the image's upper pole.
     scene = under(Environment(picture()[:, :1]), floor=quad([-5, 0, -5], [0, 0, 10], [10, 0, 0]))
-    top = sampled(device, scene, (0, 1, 0), np.linspace(0, 0.99, 64), np.zeros(64)).towards
+    top = sampled(one_device, scene, (0, 1, 0), np.linspace(0, 0.99, 64), np.zeros(64)).towards
     assert np.linalg.norm(top - [0, 1, 0], axis=1).max() < 1e-3
 
 
@@ -334,12 +336,12 @@ def test_many_normals_share_maps(one_device):
     assert set(rows.sky[:, 2]) <= set(range(len(rows.maps)))
 
 
-def test_lights_and_environment_share_the_square(device):
+def test_lights_and_environment_share_the_square(one_device):
     light = light_at([-1, 2, -1], [2, 0, 0], [0, 0, 2], 1.0)
     for radiance, share in ((1e-3, 0.25), (1e3, 0.875)):
         scene = under(Environment(np.full(3, radiance)), (light,))
         u, v = grid(64)
-        found = sampled(device, scene, (0, 1, 0), u, v)
+        found = sampled(one_device, scene, (0, 1, 0), u, v)
         assert (found.share == share).all()
         assert np.mean(found.towards[:, 1] < 0) < 0.01
         # Both come to what they bring alone: radiance times cosine over density.
@@ -348,7 +350,9 @@ def test_lights_and_environment_share_the_square(device):
         assert value[outside].sum() / len(u) == pytest.approx(np.pi * radiance, rel=1e-2)
         alone = under(Environment(np.zeros(3)), (light,))
         assert "HAS_ENVIRONMENT" in light_defines(alone) and not light_defines(alone)["HAS_ENVIRONMENT"]
-        of_light = ncv.irradiance(alone, [[0, 0, 0]], [[0, 1, 0]], method="mc", spp=64, device=device)
+        of_light = ncv.irradiance(
+            alone, [[0, 0, 0]], [[0, 1, 0]], method="mc", spp=64, device=one_device
+        )
         assert value[~outside].sum() / len(u) == pytest.approx(of_light.values[0, 0], rel=2e-2)
 
 

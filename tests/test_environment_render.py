@@ -63,9 +63,8 @@ def check_alike(first: ncv.Image, second: ncv.Image, where=None, deviations=4.5)
 def test_direct_light_of_a_white_sky_is_ambient_occlusion(one_device, method):
     scene = scene_of(Environment(np.ones(3)))
     options = {"size": SIZE, "sampler": "independent", "device": one_device}
-    found = ncv.render(scene, "direct", method, spp=128, train_spp=32, seed=1, **options) if (
-        method == "ncv"
-    ) else ncv.render(scene, "direct", method, spp=128, seed=1, **options)  # fmt: skip
+    training = {"train_spp": 32} if method == "ncv" else {}
+    found = ncv.render(scene, "direct", method, spp=128, seed=1, **training, **options)
     occlusion = ncv.render(scene, "ao", "mc", spp=256, seed=2, visibility="embree", **options)
     hit = occlusion.layers["depth"] > 0
     check_alike(found, occlusion, hit)
@@ -100,7 +99,7 @@ def test_all_ways_to_estimate_agree(one_device, surface):
     assert all_light.pixels.mean() > 1.05 * direct.pixels.mean()
 
 
-@pytest.mark.parametrize("depth", [2, 3, None])
+@pytest.mark.parametrize("depth", [2, None])
 def test_a_convex_body_in_a_furnace_follows_the_series(one_device, depth):
     # Nothing else reflects, so of all bounces there is one: albedo, at any depth.
     scene = scene_of(Environment(np.ones(3)), box([0, 0.5, 0], (2, 1, 1)), albedo=np.full(3, 0.5))
@@ -114,7 +113,7 @@ def test_a_convex_body_in_a_furnace_follows_the_series(one_device, depth):
 
 def test_a_box_with_a_hole_in_a_furnace(one_device):
     # A white box open above, in a white sky: at full depth all is white, 1 everywhere.
-    walls = box([0, 1, 0], (2, 2, 2))[: -2 or None]
+    walls = box([0, 1, 0], (2, 2, 2))[:-2]
     camera = camera_at([0, 3.6, 1.0], [0, 0.5, 0], 30)
     scene = replace(scene_of(Environment(np.ones(3)), walls, albedo=np.full(3, 1.0)), camera=camera)
     found = ncv.render(
@@ -198,13 +197,12 @@ def test_lines_are_for_area_lights(one_device):
     ncv.render(scene, "ao", visibility="lines", spp=4, size=(4, 4), device=one_device)
 
 
-@pytest.mark.parametrize("turned", [(0.0, (0, 1, 0)), (50.0, (0, 0, 1)), (20.0, (1, 2, -0.5))])
-def test_mitsuba_sees_the_same(one_device, turned):
+def test_mitsuba_sees_the_same(one_device):
     pytest.importorskip("mitsuba", reason="mitsuba is not installed")
     sys.path.insert(0, str(Path(__file__).parent.parent / "bench"))
     from mitsuba_scene import MitsubaScene, import_mitsuba
 
-    rotation, up = turned
+    rotation, up = 20.0, (1, 2, -0.5)
     pixels = np.random.default_rng(2).gamma(1.0, 1.0, (8, 16, 3)).astype(np.float32)
     scene = scene_of(Environment(pixels, rotation, up), albedo=np.array([0.7, 0.6, 0.5]))
     theirs = MitsubaScene(import_mitsuba(), scene)
