@@ -117,6 +117,20 @@ def test_widths_follow_the_kind_of_device(kind, native, compiled_for, expected):
     assert default_widths(cl_device) == expected
 
 
+@pytest.mark.parametrize(
+    ("told", "lanes"),
+    [
+        ({"warp_size_nv": 32, "preferred_work_group_size_multiple": 64}, 32),
+        ({"wavefront_width_amd": 64}, 64),
+        ({"preferred_work_group_size_multiple": 16}, 16),
+        ({"preferred_work_group_size_multiple": 1}, GPU_LANES),
+    ],
+)
+def test_lanes_of_a_gpu_are_the_work_items_that_run_in_step(told, lanes):
+    cl_device = SimpleNamespace(type=cl.device_type.GPU, native_vector_width_float=1, **told)
+    assert default_widths(cl_device) == (1, lanes)
+
+
 @pytest.mark.parametrize(("native", "widest"), [(16, (8, 4)), (8, (16, 16))])
 def test_only_what_contradicts_itself_is_held_back(native, widest):
     version = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-znver3"

@@ -137,7 +137,7 @@ def test_all_vector_widths_agree(one_device, method):
     network = random_network((2, 9, 18, 5), 3, seed=7)
     results = []
     widest = widest_vectors(one_device.cl_device)
-    for vector_width, lanes in ((1, 1), (4, 1), (8, 1), (widest, 1), (1, 8), (1, GPU_LANES)):
+    for vector_width, lanes in ((1, 1), (4, 1), (8, 1), (widest, 1), (1, 8), (1, GPU_LANES), (1, 64)):
         device = open_device(one_device.cl_device, one_device.index, vector_width, lanes)
         results.append(integrate(*network, method=method, device=device))
     np.testing.assert_allclose(results, np.broadcast_to(results[0], np.shape(results)), atol=2e-6)

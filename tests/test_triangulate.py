@@ -17,6 +17,8 @@ from ncv_cl.learning.density import Density
 from ncv_cl.learning.triangulate import VERTEX_BITS, TriangleWarp
 from ncv_cl.network.encode import Encoding
 from ncv_cl.network.network import NetworkDescription, NetworkError
+from ncv_cl.opencl import program
+from ncv_cl.opencl.device import CutShortError
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
@@ -137,6 +139,26 @@ def test_triangles_cover_the_square_and_no_line_cuts_one(device, lines):
         # Of many lines at random some make too many slivers.
         assert not cut.any() or len(found.area) == 2
     assert warp.undivided <= (2 if lines > LINES else 0)
+
+
+def test_groups_that_are_cut_short_are_an_error(one_device, monkeypatch):
+    loop = "for (; i < count; i += (uint)get_num_groups(0)) {"
+    limited = loop.replace("i < count", "i < count && i < (uint)get_num_groups(0)")
+    original = program.source
+
+    def source(files):
+        text = original(files)
+        assert "triangulate" not in files or text.count(loop) == 1
+        return text.replace(loop, limited)
+
+    monkeypatch.setattr(program, "source", source)
+    # So that the program is built anew, and not kept.
+    monkeypatch.setattr(program, "_programs", {})
+    # Each group takes one point.
+    points = 2 * one_device.cl_device.max_compute_units
+    warp = warp_of(one_device, random_lines(points), random_magnitudes(points))
+    with pytest.raises(CutShortError, match=f"cut the square of {points // 2} of {points} points"):
+        built_records(one_device, warp, points)
 
 
 def test_records_match_float64(device):

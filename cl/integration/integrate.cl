@@ -14,15 +14,17 @@
  * finite. Points that fail are appended to `retry`: in single precision the same kernel does them again
  * in double (-D SINGLE_ARRAYS, -D LISTED), then integrate_robust.
  *
- * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) per work-group.
+ * Memory. One Workspace (SPACE: local on GPUs if it fits) and one Tables (global) for each LANES
+ * work-items; both are private where -D LONE has a work-item to itself.
  * Network parameters are row-major (n_out, n_in), with a leading points axis where -D
  * PER_POINT_WEIGHTS_k or PER_POINT_BIASES_k is 1. In Tables matrices lie transposed, outputs padded with
  * zeros to whole vectors, so that VEC neurons are one load.
  *
- * Work-group contract: LANES work-items own one point at a time. Groups are persistent: the leader pops
- * a run of points from the queue (counters[0]), all read it after a barrier, and all leave on the same
- * condition; no group ever waits for another. Barriers stand only under conditions that are uniform in
- * the group.
+ * Work-group contract: LANES work-items own one point at a time, and a group is one such team. Groups
+ * are persistent: the leader pops a run of points from the queue (counters[0]), all read it after a
+ * barrier, and all leave on the same condition; no group ever waits for another. Barriers stand only
+ * under conditions that are uniform in the group. With -D LONE, of small networks on GPUs, LANES is 1
+ * and groups are of GROUP_ITEMS such teams, which have nothing to do with each other; no barriers.
  */
 
 /* ---- from face to face -------------------------------------------------------------------------- */
@@ -76,13 +78,13 @@ void leader_next_cell(SPACE Workspace *work) {
 }
 
 /* The affine functions of layer k + 1 inside the current face of arrangement k. */
-void next_lines(SPACE Workspace *work, __global const Tables *tables, const int k, const int lane) {
+void next_lines(SPACE Workspace *work, TABLES const Tables *tables, const int k, const int lane) {
   SPACE const Lines *lines = &work->lines[k];
   SPACE Lines *next = &work->lines[k + 1];
   const int inputs = WIDTH[k + 1];
   const int stride = STRIDE[k + 1];
-  __global const number *matrix = layer_matrix(work, tables, k + 1);
-  __global const number *bias = layer_bias(work, tables, k + 1);
+  TABLES const number *matrix = layer_matrix(work, tables, k + 1);
+  TABLES const number *bias = layer_bias(work, tables, k + 1);
   const number mean_x = work->face.mean_x;
   const number mean_y = work->face.mean_y;
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
@@ -110,12 +112,12 @@ void next_lines(SPACE Workspace *work, __global const Tables *tables, const int 
 
 /* Whether no last-layer neuron has a part in G: then there is nothing to integrate. Most often the first
  * weight tells. */
-bool output_is_constant(SPACE const Workspace *work, __global const Tables *tables) {
+bool output_is_constant(SPACE const Workspace *work, TABLES const Tables *tables) {
 #if WRITE_MOMENTS
   (void)work, (void)tables;
   return false;
 #else
-  __global const number *matrix = layer_matrix(work, tables, HIDDEN);
+  TABLES const number *matrix = layer_matrix(work, tables, HIDDEN);
   for (int i = 0; i < WIDTH[HIDDEN] * STRIDE[HIDDEN]; ++i)
     if (matrix[i] != 0) return false;
   return true;
@@ -140,7 +142,7 @@ void leader_begin_point(SPACE Workspace *work) {
 }
 
 /* Walks all cells of one point's network and leaves the last hidden layer's integrals in `moment`. */
-void integrate_network(SPACE Workspace *work, __global Tables *tables, const int lane) {
+void integrate_network(SPACE Workspace *work, TABLES Tables *tables, const int lane) {
   clear_sums(tables, lane);
   if (output_is_constant(work, tables)) {
     if (lane == 0) leader_skip_point(work);
@@ -179,9 +181,9 @@ void integrate_network(SPACE Workspace *work, __global Tables *tables, const int
 
 #if WRITE_MOMENTS
 /* M with its powers of two put back. */
-void unscale_moments(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void unscale_moments(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
-    PUT(unscale(work, tables, HIDDEN - 1, j, LOAD(tables->moment + j)), __global, tables->moment_error + j);
+    PUT(unscale(work, tables, HIDDEN - 1, j, LOAD(tables->moment + j)), TABLES, tables->moment_error + j);
 }
 #endif
 
@@ -189,9 +191,9 @@ void unscale_moments(SPACE const Workspace *work, __global Tables *tables, const
 
 /* G = b + W M for all channels, through the scaled output layer; its condition, and its bound where that
  * is asked for. */
-void compute_outputs(SPACE Workspace *work, __global Tables *tables, const int lane) {
-  __global const number *matrix = layer_matrix(work, tables, HIDDEN);
-  __global const number *bias = layer_bias(work, tables, HIDDEN);
+void compute_outputs(SPACE Workspace *work, TABLES Tables *tables, const int lane) {
+  TABLES const number *matrix = layer_matrix(work, tables, HIDDEN);
+  TABLES const number *bias = layer_bias(work, tables, HIDDEN);
   for (int j = lane * VEC; j < OUTPUT_STRIDE; j += LANES * VEC) {
     numbers sum = LOAD(bias + j);
     numbers scale = fabs(sum);
@@ -216,25 +218,25 @@ void compute_outputs(SPACE Workspace *work, __global Tables *tables, const int l
 #endif
     }
     const numbers output = unscale(work, tables, HIDDEN, j, sum);
-    PUT(output, __global, tables->output + j);
-    if (any_of(terms > (number)CONDITION_LIMIT * scale)) atomic_or(&work->ill_conditioned, 1);
+    PUT(output, TABLES, tables->output + j);
+    if (any_of(terms > (number)CONDITION_LIMIT * scale)) RAISE(&work->ill_conditioned);
 #if WRITE_BOUND && HIDDEN == 0
     all_terms = terms;
 #endif
 #if WRITE_BOUND
     const numbers bound = ((number)EXCESS_TOLERANCE + (number)ROUNDINGS * (number)EPSILON) * all_terms;
-    PUT(unscale(work, tables, HIDDEN, j, bound) + (number)STORED_EPSILON * fabs(output), __global,
+    PUT(unscale(work, tables, HIDDEN, j, bound) + (number)STORED_EPSILON * fabs(output), TABLES,
         tables->bound + j);
 #endif
   }
 }
 
-void copy_numbers(__global stored *to, __global const number *from, const int count, const int lane) {
+void copy_numbers(__global stored *to, TABLES const number *from, const int count, const int lane) {
   for (int j = lane; j < count; j += LANES) to[j] = (stored)from[j];
 }
 
 /* Zeroes what vector loads touch beyond the numbers in use. */
-void clear_padding(SPACE Workspace *work, __global Tables *tables, const int lane) {
+void clear_padding(SPACE Workspace *work, TABLES Tables *tables, const int lane) {
   for (int i = lane; i < MATRIX_NUMBERS; i += LANES) tables->matrix[i] = 0;
   for (int i = lane; i < BIAS_NUMBERS; i += LANES) tables->bias[i] = tables->terms[i] = tables->on_terms[i] = 0;
 #if !METHOD_FULL
@@ -276,13 +278,15 @@ __kernel void integrate_memory(__global int *bytes) {
 
 /* Points [begin, end), or with -D LISTED those in list[begin, end), `run` at a time. counters:
  * COUNT_HEAD is the queue's head, COUNT_RETRY the length of `retry`, COUNT_FINISHED how many points were
- * integrated, certified or not, and one for each reason why a point is in `retry`. */
-__kernel __attribute__((reqd_work_group_size(LANES, 1, 1)))
+ * integrated, certified or not, COUNT_TEAMS how many teams found the queue empty, and one for each reason why a point
+ * is in `retry`. A runtime that stops loops after some turns leaves the first of these two short, or where it
+ * ended a team's last point early, the second. */
+__kernel __attribute__((reqd_work_group_size(GROUP_ITEMS, 1, 1)))
 void integrate(const int begin, const int end, const int run, __global int *counters,
 #if LISTED
                __global const int *list,
 #endif
-               __global int *retry, __global ulong *group_faces, __global stored *G,
+               __global int *retry, __global ulong *team_faces, __global stored *G,
 #if WRITE_MOMENTS
                __global stored *moments,
 #endif
@@ -291,25 +295,36 @@ void integrate(const int begin, const int end, const int run, __global int *coun
 #endif
                __global Workspace *all_work, __global Tables *all_tables,
                NETWORK_ARGUMENTS) {
-  const int lane = (int)get_local_id(0);
-  __global Tables *tables = all_tables + get_group_id(0);
+  const int lane = LANES == 1 ? 0 : (int)get_local_id(0);
+  const size_t team = get_global_id(0) / LANES;
+#if LONE
+  Workspace own_work;
+  Tables own_tables;
+  Workspace *work = &own_work;
+  Tables *tables = &own_tables;
+  (void)all_work, (void)all_tables;
+#else
+  __global Tables *tables = all_tables + team;
 #if WORK_IS_LOCAL
   __local Workspace local_work;
   __local Workspace *work = &local_work;
   (void)all_work;
 #else
-  __global Workspace *work = all_work + get_group_id(0);
+  __global Workspace *work = all_work + team;
+#endif
 #endif
   clear_padding(work, tables, lane);
   bool first = true;
   ulong faces = 0;
   int finished = 0;
+  int is_empty = 0;
   for (;;) {
     BARRIER();
     if (lane == 0) work->first_point = begin + atomic_add(&counters[COUNT_HEAD], run);
     BARRIER();
     const int start = work->first_point;
-    if (start >= end) break;
+    is_empty = start >= end;
+    if (is_empty) break;
     const int stop = LESSER(end, start + run);
     for (int next = start; next < stop; ++next) {
 #if LISTED
@@ -359,7 +374,8 @@ void integrate(const int begin, const int end, const int run, __global int *coun
     }
   }
   if (lane == 0) {
-    group_faces[get_group_id(0)] += faces;
+    team_faces[team] += faces;
     atomic_add(&counters[COUNT_FINISHED], finished);
+    atomic_add(&counters[COUNT_TEAMS], is_empty);
   }
 }

@@ -45,17 +45,17 @@
 #endif
 
 /* `terms` of hidden neurons, and their inverse. */
-void sum_terms(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void sum_terms(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   for (int k = 0; k < TERM_LAYERS; ++k) {
-    __global const number *before = tables->terms + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
+    TABLES const number *before = tables->terms + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
     for (int j = lane * VEC; j < STRIDE[k]; j += LANES * VEC) {
-      __global const number *matrix = layer_matrix(work, tables, k) + j;
+      TABLES const number *matrix = layer_matrix(work, tables, k) + j;
       numbers sum = fabs(LOAD(layer_bias(work, tables, k) + j));
       for (int i = 0; i < WIDTH[k]; ++i)
         sum = FMA(fabs(LOAD(matrix + i * STRIDE[k])), (numbers)(k > 0 ? before[i] : (number)0.5f), sum);
       sum *= (number)GREATEST_SLOPE;
-      PUT(sum, __global, tables->terms + BIAS_OFFSET[k] + j);
-      PUT(sum > 0 ? (number)1 / GREATER(sum, (numbers)TINY) : (numbers)0, __global,
+      PUT(sum, TABLES, tables->terms + BIAS_OFFSET[k] + j);
+      PUT(sum > 0 ? (number)1 / GREATER(sum, (numbers)TINY) : (numbers)0, TABLES,
           tables->inverse_terms + BIAS_OFFSET[k] + j);
     }
     BARRIER();
@@ -65,11 +65,11 @@ void sum_terms(SPACE const Workspace *work, __global Tables *tables, const int l
 /* The mean over the square of neurons' terms where they are on, in `on_terms`; of all hidden layers but
  * the last, the mean over where they are on. Where neurons of two layers are on together is not known;
  * their share is bounded by the smaller of the two. */
-void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void sum_on_terms(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   for (int k = 0; k < HIDDEN; ++k) {
     const int before = k > 0 ? BIAS_OFFSET[k - 1] : 0;
     for (int j = lane * VEC; j < STRIDE[k]; j += LANES * VEC) {
-      __global const number *matrix = layer_matrix(work, tables, k) + j;
+      TABLES const number *matrix = layer_matrix(work, tables, k) + j;
       numbers share = LOAD(tables->open + BIAS_OFFSET[k] + j);
 #if LEAKY
       share = FMA((numbers)fabs((number)NEGATIVE_SLOPE), (number)1 - share, share);
@@ -81,7 +81,7 @@ void sum_on_terms(SPACE const Workspace *work, __global Tables *tables, const in
         sum = FMA(fabs(LOAD(matrix + i * STRIDE[k])), both * terms, sum);
       }
       if (k < HIDDEN - 1) sum = share > 0 ? sum / GREATER(share, (numbers)TINY) : (numbers)0;
-      PUT(sum, __global, tables->on_terms + BIAS_OFFSET[k] + j);
+      PUT(sum, TABLES, tables->on_terms + BIAS_OFFSET[k] + j);
     }
     BARRIER();
   }
@@ -160,20 +160,20 @@ numbers cell_integral(SPACE const Workspace *work, const int k, const int j, num
 }
 
 /* excess += (integrals of neurons [j, j + VEC) of layer k) / terms. */
-void add_excess(__global Tables *tables, const int k, const int j, const numbers integral, const int lane) {
+void add_excess(TABLES Tables *tables, const int k, const int j, const numbers integral, const int lane) {
   const numbers share = LOAD(tables->inverse_terms + BIAS_OFFSET[k] + j);
-  __global number *excess = tables->excess + lane * VEC;
-  PUT(FMA(integral, share, LOAD(excess)), __global, excess);
+  TABLES number *excess = tables->excess + lane * VEC;
+  PUT(FMA(integral, share, LOAD(excess)), TABLES, excess);
 }
 
 /* Adds the closed forms over the cell of arrangement k to `excess`, or takes them off, and its part to
  * `open`. */
-void add_cell(SPACE const Workspace *work, __global Tables *tables, const int k, const number sign, const int lane) {
+void add_cell(SPACE const Workspace *work, TABLES Tables *tables, const int k, const number sign, const int lane) {
   for (int j = lane * VEC; j < STRIDE[k]; j += LANES * VEC) {
     numbers share;
     add_excess(tables, k, j, sign * cell_integral(work, k, j, &share), lane);
-    __global number *open = tables->open + BIAS_OFFSET[k] + j;
-    PUT(FMA((numbers)3, share, LOAD(open)), __global, open);
+    TABLES number *open = tables->open + BIAS_OFFSET[k] + j;
+    PUT(FMA((numbers)3, share, LOAD(open)), TABLES, open);
   }
 }
 
@@ -193,7 +193,7 @@ numbers face_integral(SPACE const Lines *lines, const int j, const Face face) {
 }
 
 /* Takes off what the current face of arrangement k makes of its neurons. */
-void subtract_face(SPACE const Workspace *work, __global Tables *tables, const int k, const int lane) {
+void subtract_face(SPACE const Workspace *work, TABLES Tables *tables, const int k, const int lane) {
   for (int j = lane * VEC; j < STRIDE[k]; j += LANES * VEC)
     add_excess(tables, k, j, -face_integral(&work->lines[k], j, work->face), lane);
 }
@@ -204,7 +204,7 @@ void subtract_face(SPACE const Workspace *work, __global Tables *tables, const i
 
 /* The reason for which a point has to be done again: which of `counters` counts it; 0: none, it is
  * certified. */
-int leader_verdict(SPACE const Workspace *work, __global const Tables *tables) {
+int leader_verdict(SPACE const Workspace *work, TABLES const Tables *tables) {
   bool finite = true;
   for (int j = 0; j < WIDTH[HIDDEN + 1]; ++j) finite = finite && isfinite((stored)tables->output[j]);
 #if HIDDEN > 0

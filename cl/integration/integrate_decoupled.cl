@@ -13,7 +13,7 @@
  */
 
 /* All faces of the last arrangement as fans of triangles; adds them to the vertices' weights. */
-void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
+void leader_list_triangles(SPACE Workspace *work, TABLES Tables *tables) {
   SPACE Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   int triangles = 0;
   number area = 0;
@@ -42,7 +42,7 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
         d->failed = 1;
         break;
       }
-      __global Triangle *triangle = &tables->triangle[triangles++];
+      TABLES Triangle *triangle = &tables->triangle[triangles++];
       triangle->third_area = third_area;
       tables->vertex_weight[v1] += before + third_area;
       before = third_area;
@@ -70,14 +70,14 @@ void leader_list_triangles(SPACE Workspace *work, __global Tables *tables) {
 #if HIDDEN == 1
 
 /* The values of the only hidden layer's neurons at all vertices: they are affine in the whole square. */
-void vertex_values(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void vertex_values(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   SPACE const Dcel *d = &work->arrangement[0];
   SPACE const Lines *lines = &work->lines[0];
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC)
     for (int v = 0; v < d->vertices; ++v) {
       const numbers z = FMA(LOAD(lines->a + j), (numbers)d->x[v],
                             FMA(LOAD(lines->b + j), (numbers)d->y[v], LOAD(lines->c + j)));
-      PUT(z, __global, tables->value + v * MOMENT_STRIDE + j);
+      PUT(z, TABLES, tables->value + v * MOMENT_STRIDE + j);
     }
 }
 
@@ -90,31 +90,31 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
  * neuron is set to exactly 0 on its own line: a rounding error there would reach, through the next
  * layer's weights, faces in which the neuron is off. Their weighted sum goes to `excess`; weights are
  * left zero for the next cell. */
-void tile_activations(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
+void tile_activations(SPACE const Workspace *work, TABLES Tables *tables, const int tile, const int lane) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   SPACE const Lines *lines = &work->lines[LAST_ARRANGEMENT];
-  __global const number *inverse_terms = tables->inverse_terms + BIAS_OFFSET[HIDDEN - 2];
+  TABLES const number *inverse_terms = tables->inverse_terms + BIAS_OFFSET[HIDDEN - 2];
   for (int v = lane * VEC; v < TILE; v += LANES * VEC) {
     const numbers x = LOAD(d->x + tile + v);
     const numbers y = LOAD(d->y + tile + v);
     numbers sum = 0;
     for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
       const numbers h = activate(snapped_value(lines->a[i], lines->b[i], lines->c[i], x, y));
-      PUT(h, __global, tables->activation + i * TILE + v);
+      PUT(h, TABLES, tables->activation + i * TILE + v);
       sum = FMA(h, (numbers)inverse_terms[i], sum);
     }
-    __global number *excess = tables->excess + lane * VEC;
-    PUT(FMA(sum, LOAD(tables->vertex_weight + tile + v), LOAD(excess)), __global, excess);
-    PUT((numbers)0, __global, tables->vertex_weight + tile + v);
+    TABLES number *excess = tables->excess + lane * VEC;
+    PUT(FMA(sum, LOAD(tables->vertex_weight + tile + v), LOAD(excess)), TABLES, excess);
+    PUT((numbers)0, TABLES, tables->vertex_weight + tile + v);
   }
 }
 
 /* The last hidden layer's neurons at these vertices, before activation, neurons across lanes. */
-void tile_values(SPACE const Workspace *work, __global Tables *tables, const int tile, const int lane) {
+void tile_values(SPACE const Workspace *work, TABLES Tables *tables, const int tile, const int lane) {
   const int vertices = work->arrangement[LAST_ARRANGEMENT].vertices;
   const int rows = LESSER(TILE, vertices - tile);
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
-    __global const number *matrix = layer_matrix(work, tables, HIDDEN - 1) + j;
+    TABLES const number *matrix = layer_matrix(work, tables, HIDDEN - 1) + j;
     const numbers bias = LOAD(layer_bias(work, tables, HIDDEN - 1) + j);
     for (int v = 0; v < rows; v += VERTEX_BLOCK) {
       numbers z[VERTEX_BLOCK];
@@ -122,19 +122,19 @@ void tile_values(SPACE const Workspace *work, __global Tables *tables, const int
       for (int q = 0; q < VERTEX_BLOCK; ++q) z[q] = bias;
       for (int i = 0; i < WIDTH[HIDDEN - 1]; ++i) {
         const numbers weight = LOAD(matrix + i * MOMENT_STRIDE);
-        __global const number *h = tables->activation + i * TILE + v;
+        TABLES const number *h = tables->activation + i * TILE + v;
 #pragma unroll
         for (int q = 0; q < VERTEX_BLOCK; ++q) z[q] = FMA(weight, (numbers)h[q], z[q]);
       }
 #pragma unroll
       for (int q = 0; q < VERTEX_BLOCK; ++q)
-        PUT(z[q], __global, tables->value + (tile + v + q) * MOMENT_STRIDE + j);
+        PUT(z[q], TABLES, tables->value + (tile + v + q) * MOMENT_STRIDE + j);
     }
   }
 }
 
 /* The values of the last hidden layer's neurons at all vertices of the last arrangement. */
-void vertex_values(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void vertex_values(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   const int vertices = work->arrangement[LAST_ARRANGEMENT].vertices;
   for (int tile = 0; tile < vertices; tile += TILE) {
     tile_activations(work, tables, tile, lane);
@@ -147,18 +147,18 @@ void vertex_values(SPACE const Workspace *work, __global Tables *tables, const i
 #endif
 
 /* Adds the triangles to the moments, neurons across lanes. */
-void add_triangles(__global Tables *tables, const int triangles, const int lane) {
+void add_triangles(TABLES Tables *tables, const int triangles, const int lane) {
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
-    __global const number *value = tables->value + j;
+    TABLES const number *value = tables->value + j;
     numbers moment = LOAD(tables->moment + j);
     numbers error = LOAD(tables->moment_error + j);
-    __global number *open = tables->open + BIAS_OFFSET[HIDDEN - 1] + j;
+    TABLES number *open = tables->open + BIAS_OFFSET[HIDDEN - 1] + j;
     numbers open_sum = 0;
     for (int first = 0; first < triangles; first += TRIANGLES_A_SUM) {
       const int last = LESSER(first + TRIANGLES_A_SUM, triangles);
       numbers sum = 0;
       for (int t = first; t < last; ++t) {
-        __global const Triangle *triangle = &tables->triangle[t];
+        TABLES const Triangle *triangle = &tables->triangle[t];
         numbers share;
         const numbers integral = triangle_integral(LOAD(value + triangle->vertex[0] * MOMENT_STRIDE),
                                                    LOAD(value + triangle->vertex[1] * MOMENT_STRIDE),
@@ -168,14 +168,14 @@ void add_triangles(__global Tables *tables, const int triangles, const int lane)
       }
       COMPENSATED_ADD(numbers, moment, error, sum);
     }
-    PUT(FMA((numbers)3, open_sum, LOAD(open)), __global, open);
-    PUT(moment, __global, tables->moment + j);
-    PUT(error, __global, tables->moment_error + j);
+    PUT(FMA((numbers)3, open_sum, LOAD(open)), TABLES, open);
+    PUT(moment, TABLES, tables->moment + j);
+    PUT(error, TABLES, tables->moment_error + j);
   }
 }
 
 /* Adds the cell's last arrangement to the moments. */
-void integrate_cell(SPACE Workspace *work, __global Tables *tables, const int lane) {
+void integrate_cell(SPACE Workspace *work, TABLES Tables *tables, const int lane) {
   if (lane == 0) leader_list_triangles(work, tables);
   BARRIER();
   vertex_values(work, tables, lane);

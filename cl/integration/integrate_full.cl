@@ -29,7 +29,7 @@ Face leader_measure_face(SPACE const Dcel *d, const int first) {
 }
 
 /* Measures all faces of the last arrangement. */
-void leader_list_faces(SPACE Workspace *work, __global Tables *tables) {
+void leader_list_faces(SPACE Workspace *work, TABLES Tables *tables) {
   SPACE const Dcel *d = &work->arrangement[LAST_ARRANGEMENT];
   number area = 0;
   for (int f = 0; f < d->faces; ++f) {
@@ -47,7 +47,7 @@ void leader_list_faces(SPACE Workspace *work, __global Tables *tables) {
 
 /* Adds the faces to the moments, neurons across lanes, and what they do wrong to `excess`: nothing where
  * no line crosses the cell. */
-void add_faces(SPACE const Workspace *work, __global Tables *tables, const int lane) {
+void add_faces(SPACE const Workspace *work, TABLES Tables *tables, const int lane) {
   const bool cut = work->crossing[LINE_STRIDE] > 0;
   for (int j = lane * VEC; j < MOMENT_STRIDE; j += LANES * VEC) {
     numbers sum = 0;
@@ -57,19 +57,19 @@ void add_faces(SPACE const Workspace *work, __global Tables *tables, const int l
       share += integral > 0 ? (numbers)tables->face[f].area : (numbers)0;
       sum += integral;
     }
-    PUT(share, __global, tables->open + BIAS_OFFSET[LAST_ARRANGEMENT] + j);
+    PUT(share, TABLES, tables->open + BIAS_OFFSET[LAST_ARRANGEMENT] + j);
     numbers moment = LOAD(tables->moment + j);
     numbers error = LOAD(tables->moment_error + j);
     COMPENSATED_ADD(numbers, moment, error, sum);
-    PUT(moment, __global, tables->moment + j);
-    PUT(error, __global, tables->moment_error + j);
+    PUT(moment, TABLES, tables->moment + j);
+    PUT(error, TABLES, tables->moment_error + j);
     numbers unused;
     if (cut) add_excess(tables, LAST_ARRANGEMENT, j, cell_integral(work, LAST_ARRANGEMENT, j, &unused) - sum, lane);
   }
 }
 
 /* Adds the cell's last arrangement to the moments. */
-void integrate_cell(SPACE Workspace *work, __global Tables *tables, const int lane) {
+void integrate_cell(SPACE Workspace *work, TABLES Tables *tables, const int lane) {
   if (lane == 0) leader_list_faces(work, tables);
   BARRIER();
   add_faces(work, tables, lane);

@@ -1,8 +1,8 @@
 /* The memory of a work-group while it integrates a network, and how the network's parameters get there.
  *
  * Workspace holds what the lanes share and the leader walks through: it lies in SPACE (local memory on
- * GPUs if it fits). Tables (global, one per group) hold the parameters and the flat lists that the lanes
- * share out. Matrices are stored transposed, [input][output], outputs padded with zeros to whole
+ * GPUs if it fits). Tables hold the parameters and the flat lists that the lanes share out; they lie in
+ * TABLES (global, or private where a work-item is alone). Matrices are stored transposed, [input][output], outputs padded with zeros to whole
  * vectors, so that one load reads the weights of VEC neurons.
  *
  * Range. Each neuron is scaled by a power of two (exact) so that its largest parameter lies in [1, 2),
@@ -122,57 +122,57 @@ numbers activate(const numbers z) {
 /* ---- parameters ---------------------------------------------------------------------------------- */
 
 /* Transposes the row-major weights of layer k into `matrix`. */
-void load_weights(__global Tables *tables, const int k, __global const stored *weights, const int lane) {
+void load_weights(TABLES Tables *tables, const int k, __global const stored *weights, const int lane) {
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
-  __global number *matrix = tables->matrix + MATRIX_OFFSET[k];
+  TABLES number *matrix = tables->matrix + MATRIX_OFFSET[k];
   for (int i = 0; i < inputs; ++i)
     for (int j = lane; j < WIDTH[k + 1]; j += LANES) matrix[i * stride + j] = (number)weights[j * inputs + i];
 }
 
 /* Copies the biases of layer k. */
-void load_biases(__global Tables *tables, const int k, __global const stored *biases, const int lane) {
+void load_biases(TABLES Tables *tables, const int k, __global const stored *biases, const int lane) {
   for (int j = lane; j < WIDTH[k + 1]; j += LANES) tables->bias[BIAS_OFFSET[k] + j] = (number)biases[j];
 }
 
 /* Sets `scaled` if a neuron of layer k has to be scaled. */
-void check_range(SPACE int *scaled, __global const Tables *tables, const int k, const int lane) {
+void check_range(SPACE int *scaled, TABLES const Tables *tables, const int k, const int lane) {
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
-  __global const number *matrix = tables->matrix + MATRIX_OFFSET[k];
+  TABLES const number *matrix = tables->matrix + MATRIX_OFFSET[k];
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     numbers largest = fabs(LOAD(tables->bias + BIAS_OFFSET[k] + j));
     for (int i = 0; i < inputs; ++i) {
       const numbers weight = fabs(LOAD(matrix + i * stride + j));
       largest = GREATER(largest, weight);
     }
-    if (!all_moderate(largest)) atomic_or(scaled, 1);
+    if (!all_moderate(largest)) RAISE(scaled);
   }
 }
 
 /* The parameters of layer k to compute with. */
-__global const number *layer_matrix(SPACE const Workspace *work, __global const Tables *tables, const int k) {
+TABLES const number *layer_matrix(SPACE const Workspace *work, TABLES const Tables *tables, const int k) {
   return (work->scaled ? tables->scaled_matrix : tables->matrix) + MATRIX_OFFSET[k];
 }
 
-__global const number *layer_bias(SPACE const Workspace *work, __global const Tables *tables, const int k) {
+TABLES const number *layer_bias(SPACE const Workspace *work, TABLES const Tables *tables, const int k) {
   return (work->scaled ? tables->scaled_bias : tables->bias) + BIAS_OFFSET[k];
 }
 
 /* What was computed for neurons [j, j + VEC) of layer k, with their powers of two put back. */
-numbers unscale(SPACE const Workspace *work, __global const Tables *tables, const int k, const int j,
+numbers unscale(SPACE const Workspace *work, TABLES const Tables *tables, const int k, const int j,
                 const numbers value) {
   if (!work->scaled) return value;
   return times_power_of_two(value, LOAD(tables->exponent + BIAS_OFFSET[k] + j));
 }
 
 /* Scales the neurons of layer k by powers of two, given the exponents taken out of the layer before. */
-void scale_layer(__global Tables *tables, const int k, const int lane) {
+void scale_layer(TABLES Tables *tables, const int k, const int lane) {
   const int inputs = WIDTH[k];
   const int stride = STRIDE[k];
-  __global const number *matrix = tables->matrix + MATRIX_OFFSET[k];
-  __global number *scaled = tables->scaled_matrix + MATRIX_OFFSET[k];
-  __global const exponent_bits *before = tables->exponent + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
+  TABLES const number *matrix = tables->matrix + MATRIX_OFFSET[k];
+  TABLES number *scaled = tables->scaled_matrix + MATRIX_OFFSET[k];
+  TABLES const exponent_bits *before = tables->exponent + (k > 0 ? BIAS_OFFSET[k - 1] : 0);
   for (int j = lane * VEC; j < stride; j += LANES * VEC) {
     const numbers bias = LOAD(tables->bias + BIAS_OFFSET[k] + j);
     exponents largest = exponent_of(bias);
@@ -180,16 +180,16 @@ void scale_layer(__global Tables *tables, const int k, const int lane) {
       const exponents e = exponent_of(LOAD(matrix + i * stride + j)) + (k > 0 ? before[i] : 0);
       largest = GREATER(largest, e);
     }
-    PUT(times_power_of_two(bias, -largest), __global, tables->scaled_bias + BIAS_OFFSET[k] + j);
+    PUT(times_power_of_two(bias, -largest), TABLES, tables->scaled_bias + BIAS_OFFSET[k] + j);
     for (int i = 0; i < inputs; ++i)
-      PUT(times_power_of_two(LOAD(matrix + i * stride + j), (k > 0 ? before[i] : 0) - largest), __global,
+      PUT(times_power_of_two(LOAD(matrix + i * stride + j), (k > 0 ? before[i] : 0) - largest), TABLES,
           scaled + i * stride + j);
     STORE(largest, tables->exponent + BIAS_OFFSET[k] + j);
   }
 }
 
 /* All layers; ends with a barrier. */
-void scale_layers(__global Tables *tables, const int lane) {
+void scale_layers(TABLES Tables *tables, const int lane) {
   for (int k = 0; k <= HIDDEN; ++k) {
     scale_layer(tables, k, lane);
     BARRIER();
@@ -197,10 +197,10 @@ void scale_layers(__global Tables *tables, const int lane) {
 }
 
 /* The first layer's neurons are lines in the unit square. */
-void first_lines(SPACE Workspace *work, __global const Tables *tables, const int lane) {
+void first_lines(SPACE Workspace *work, TABLES const Tables *tables, const int lane) {
   SPACE Lines *lines = &work->lines[0];
-  __global const number *matrix = layer_matrix(work, tables, 0);
-  __global const number *bias = layer_bias(work, tables, 0);
+  TABLES const number *matrix = layer_matrix(work, tables, 0);
+  TABLES const number *bias = layer_bias(work, tables, 0);
   for (int j = lane * VEC; j < STRIDE[0]; j += LANES * VEC) {
     PUT(LOAD(matrix + j), SPACE, lines->a + j);
     PUT(LOAD(matrix + STRIDE[0] + j), SPACE, lines->b + j);
@@ -208,11 +208,11 @@ void first_lines(SPACE Workspace *work, __global const Tables *tables, const int
   }
 }
 
-void clear_sums(__global Tables *tables, const int lane) {
+void clear_sums(TABLES Tables *tables, const int lane) {
   for (int j = lane; j < MOMENT_STRIDE; j += LANES) {
     tables->moment[j] = 0;
     tables->moment_error[j] = 0;
   }
-  for (int j = lane * VEC; j < BIAS_NUMBERS; j += LANES * VEC) PUT((numbers)0, __global, tables->open + j);
-  PUT((numbers)0, __global, tables->excess + lane * VEC);
+  for (int j = lane * VEC; j < BIAS_NUMBERS; j += LANES * VEC) PUT((numbers)0, TABLES, tables->open + j);
+  PUT((numbers)0, TABLES, tables->excess + lane * VEC);
 }

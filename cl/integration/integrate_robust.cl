@@ -320,7 +320,8 @@ void integrate_robust(const int count, __global int *counters, __global const in
                       __global Robust *all_work,
                       NETWORK_ARGUMENTS) {
   __global Robust *r = all_work + get_group_id(0);
-  for (int next = atomic_inc(&counters[COUNT_HEAD]); next < count; next = atomic_inc(&counters[COUNT_HEAD])) {
+  int next = atomic_inc(&counters[COUNT_HEAD]);
+  for (; next < count; next = atomic_inc(&counters[COUNT_HEAD])) {
     const int point = list[next];
     const size_t p = (size_t)point;
     __global stored *result = G + p * (size_t)ROBUST_WIDTHS[HIDDEN + 1];
@@ -335,4 +336,5 @@ void integrate_robust(const int count, __global int *counters, __global const in
 #endif
     atomic_inc(&counters[COUNT_FINISHED]);
   }
+  if (next >= count) atomic_inc(&counters[COUNT_TEAMS]);
 }

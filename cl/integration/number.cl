@@ -3,8 +3,8 @@
  * HIDDEN hidden layers. Arrays hold `stored` numbers: floats where -D SINGLE_ARRAYS has points of single
  * precision computed in double.
  *
- * BARRIER separates what lane 0 wrote from what all lanes read; with one lane there is nothing to wait
- * for.
+ * BARRIER separates what lane 0 wrote from what all lanes read, and RAISE sets a flag that lanes share;
+ * with one lane there is nothing to wait for.
  *
  * Work-group contract: none; functions of private values.
  */
@@ -61,8 +61,10 @@ typedef numbers loose_numbers __attribute__((aligned(sizeof(number))));
 
 #if LANES == 1
 #define BARRIER() ((void)0)
+#define RAISE(flag) (*(flag) = 1)
 #else
 #define BARRIER() barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE)
+#define RAISE(flag) atomic_or(flag, 1)
 #endif
 
 /* x * 2^k for any k, exact unless the result is subnormal. */

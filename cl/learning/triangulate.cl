@@ -240,9 +240,9 @@ void leader_begin(global Workspace *work) {
 }
 
 /* Begins again without lines. */
-void leader_give_up(global Workspace *work, volatile global int *failed) {
+void leader_give_up(global Workspace *work, volatile global int *counts) {
   leader_begin(work);
-  atomic_inc(failed);
+  atomic_inc(counts);
 }
 
 /* Zeroes what vector loads touch beyond the numbers in use. */
@@ -254,16 +254,19 @@ void clear_padding(global Workspace *work, const int lane) {
 
 kernel void triangulate_memory(global int *bytes) { bytes[0] = (int)sizeof(Workspace); }
 
-/* Record i of `records` for point order[first_point + i], i < count. `failed` counts points that got the undivided
- * square. */
+/* Record i of `records` for point order[first_point + i], i < count. counts: [0] points that got the undivided square,
+ * [1] points that were finished, [2] groups that came to their last point: a runtime that stops loops after some turns
+ * leaves one of these short. */
 kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     const uint first_point, const uint count, global const uint *restrict order, global const float *restrict w1,
     global const float *restrict b1, global const uint *restrict tables, global Workspace *all_work,
-    global uint *restrict records, volatile global int *failed) {
+    global uint *restrict records, volatile global int *counts) {
   const int lane = (int)get_local_id(0);
   global Workspace *work = all_work + get_group_id(0);
   clear_padding(work, lane);
-  for (uint i = (uint)get_group_id(0); i < count; i += (uint)get_num_groups(0)) {
+  int finished = 0;
+  uint i = (uint)get_group_id(0);
+  for (; i < count; i += (uint)get_num_groups(0)) {
     const ulong point = order[first_point + i];
     BARRIER();
     load_point(work, w1 + point * STRIDE_W1, b1 + point * STRIDE_B1, tables + point * DENSITY_WORDS, lane);
@@ -273,7 +276,7 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     add_lines(&work->arrangement, &work->lines, work->crossing, LINES, 1, lane);
     triangulate_faces(work, lane);
     if (!work->certified) {
-      if (lane == 0) leader_give_up(work, failed);
+      if (lane == 0) leader_give_up(work, counts);
       BARRIER();
       triangulate_faces(work, lane);
     }
@@ -281,5 +284,10 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void triangulate(
     if (lane == 0) leader_write_triangles(work, record);
     BARRIER();
     write_vertices(work, record, lane);
+    ++finished;
+  }
+  if (lane == 0) {
+    atomic_add(counts + 1, finished);
+    atomic_add(counts + 2, i >= count ? 1 : 0);
   }
 }

@@ -103,6 +103,33 @@ def shape_constants(widths: Sequence[int], method: str, vector: int) -> dict[str
     }
 
 
+def team_bytes(constants: dict[str, int | str], method: str, item_bytes: int) -> int:
+    """About how many bytes integrate.cl keeps of one point: its Workspace and Tables.
+
+    Parameters
+    ----------
+    constants : dict
+        Of `shape_constants`.
+    method : {"decoupled", "full"}
+    item_bytes : int
+        Of a number.
+    """
+    size = {name: value for name, value in constants.items() if isinstance(value, int)}
+    vertices, lines = size["MAX_VERTICES"], size["LINE_STRIDE"]
+    arrangement = 3 * item_bytes * vertices + 8 * size["MAX_HALF_EDGES"] + 2 * size["MAX_FACES"]
+    numbers = 3 * lines * size["LINE_LAYERS"] + 2 * size["MATRIX_NUMBERS"] + 7 * size["BIAS_NUMBERS"]
+    numbers += 2 * (size["MOMENT_STRIDE"] + size["OUTPUT_STRIDE"])
+    if method == "full":
+        last = 6 * item_bytes * size["MAX_FACES"]
+    else:
+        numbers += (1 + size["MOMENT_STRIDE"]) * vertices + 4 * lines
+        # Three indices of two bytes, padded.
+        last = (8 + item_bytes) * size["MAX_TRIANGLES"]
+    # Arrays begin at multiples of 64 bytes: half of that each, of 18 beside arrangements' and lines'.
+    padding = 32 * (18 + 3 * size["ARRANGEMENTS"] + 3 * size["LINE_LAYERS"])
+    return size["ARRANGEMENTS"] * arrangement + item_bytes * numbers + 4 * lines + last + padding
+
+
 def robust_shape_constants(widths: Sequence[int]) -> dict[str, int | str]:
     """The `-D` constants of the robust path that follow from the shape: nothing is padded there."""
     hidden = widths[1:-1]

@@ -20,8 +20,11 @@ ACCURACY = {"float32": 1e-6, "float64": 1e-13}
 ROUNDINGS_A_LAYER = 16
 
 # Places in the array of counters that each launch fills.
-COUNTERS = ("head", "retry", "finished", "walk", "area", "excess", "overflow", "condition")
-REASONS = COUNTERS[3:]
+COUNTERS = (
+    *("head", "retry", "finished", "teams"),
+    *("walk", "area", "excess", "overflow", "condition"),
+)
+REASONS = COUNTERS[4:]
 
 
 @dataclass(frozen=True)

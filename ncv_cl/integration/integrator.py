@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import Device, widest_vectors
+from ..opencl.device import GROUP_SIZE, Device, widest_vectors
 from ..opencl.memory import HostArray
 from ..opencl.program import device_defines
-from .arrangement import robust_shape_constants, shape_constants
+from .arrangement import robust_shape_constants, shape_constants, team_bytes
 from .certificate import PRECISIONS, REASONS, Statistics, certificate_constants
 from .stage import ROBUST_FILES, ArrangementStage, ClippingStage, Constants, Networks
 
@@ -31,6 +31,9 @@ TRIANGLES_A_SUM = 16
 POINTS_A_LAUNCH = 1 << 20
 # Bytes of all groups' workspaces at most: fewer groups where they would not fit.
 SCRATCH_BYTES = 256 << 20
+# Bytes of a work-item's private memory at most, where each has a point of its own. Drivers set that much
+# aside for all work-items that a GPU can hold, some 2048 a compute unit: 16 MiB of each unit.
+PRIVATE_BYTES = 8 << 10
 
 
 class Integrator:
@@ -124,7 +127,9 @@ class Integrator:
         vec = min(device.vector_width, widest_vectors(device.cl_device, PRECISIONS[precision].itemsize))
         # No wider than a layer: a small network's neurons would leave lanes idle.
         vec = min(vec, max(4, 1 << (max(self.widths[1:]) - 1).bit_length()))
-        constants: Constants = shape_constants(self.widths, self.method, vec * device.lanes)
+        lone = not for_single and self._is_lone(vec, PRECISIONS[precision].itemsize)
+        lanes = 1 if lone else device.lanes
+        constants: Constants = shape_constants(self.widths, self.method, vec * lanes)
         constants |= certificate_constants(
             self.widths, precision, self.negative_slope, for_single=for_single
         )
@@ -139,16 +144,31 @@ class Integrator:
             "SINGLE_ARRAYS": int(for_single),
             "LISTED": int(for_single),
             "VEC": vec,
+            "LANES": lanes,
             "TINY": TINY[precision],
             "TRIANGLES_A_SUM": TRIANGLES_A_SUM,
-            "SPACE": "__global",
+            "SPACE": "__private" if lone else "__global",
+            "TABLES": "__private" if lone else "__global",
             "WORK_IS_LOCAL": 0,
+            "LONE": int(lone),
+            "GROUP_ITEMS": GROUP_SIZE if lone else lanes,
         }
         for k in range(MAX_HIDDEN_LAYERS + 1):
             used = k < self.layers
             constants[f"PER_POINT_WEIGHTS_{k}"] = int(used and self.per_point_weights[k])
             constants[f"PER_POINT_BIASES_{k}"] = int(used and self.per_point_biases[k])
         return constants
+
+    def _is_lone(self, vec: int, item_bytes: int) -> bool:
+        """Whether each work-item of a GPU takes a point of its own, and not a group.
+
+        So where half a group or more would have no neuron to work on, and only the leader a line to
+        insert; and where the arrangement of a point is small enough for private memory.
+        """
+        if self.device.lanes == 1 or vec > 1 or 2 * max(self.widths[1:]) > self.device.lanes:
+            return False
+        alone = shape_constants(self.widths, self.method, 1)
+        return team_bytes(alone, self.method, item_bytes) <= PRIVATE_BYTES
 
     def _robust_constants(self) -> Constants:
         """The `-D` constants of the clipping path, which is in double precision where there is one."""
@@ -193,8 +213,8 @@ class Integrator:
         ------
         ValueError
             Arrays of another shape or type, or a range outside of them.
-        DeviceError
-            The device's runtime did not finish all points.
+        CutShortError
+            A DeviceError: the device's runtime did not finish all points.
         """
         self._check_arrays(weights, biases, out, moments, bounds)
         end = out.shape[0] if end is None else end
@@ -271,6 +291,11 @@ class Integrator:
         if self.layers > 1:
             programs.append((ROBUST_FILES, defines | self._robust_constants()))
         return programs
+
+    @property
+    def has_a_point_a_work_item(self) -> bool:
+        """Whether work-items do not share points (GPUs, small networks)."""
+        return bool(self._arrangement.constants["LONE"])
 
     @property
     def workspace_is_local(self) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, Device, DeviceError
+from ..opencl.device import GPU_LOCAL_BYTES, GROUPS_PER_COMPUTE_UNIT, CutShortError, Device
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from .certificate import COUNTERS
@@ -59,20 +59,21 @@ class _Counters:
         self.device = device
         self.array = HostArray(device, len(COUNTERS), np.int32)
 
-    def read(self, points: int) -> dict[str, int]:
-        """What a launch over `points` points counted.
+    def read(self, points: int, teams: int) -> dict[str, int]:
+        """What a launch of `teams` teams over `points` points counted.
 
         Raises
         ------
-        DeviceError
-            Not all points were integrated: the runtime cut a kernel short.
+        CutShortError
+            Not all points were integrated, or a team did not come to the end of the queue: the point
+            that it had in hand may be wrong.
         """
         counted = dict(zip(COUNTERS, self.array.read().tolist(), strict=True))
-        if counted["finished"] != points:
-            name = f"{self.device.name} ({self.device.platform_version})"
-            raise DeviceError(
-                f"{name} integrated {counted['finished']} of {points} points: its runtime cut the "
-                "kernel short. Choose another device"
+        if (counted["finished"], counted["teams"]) != (points, teams):
+            raise CutShortError.of(
+                self.device,
+                f"integrated {counted['finished']} of {points} points, and {counted['teams']} of "
+                f"{teams} work-groups found none left",
             )
         return counted
 
@@ -111,12 +112,17 @@ class ArrangementStage:
         work_bytes, table_bytes = memory_of(program, "integrate_memory")
         # A workspace beyond it goes to global memory.
         local_bytes = min(GPU_LOCAL_BYTES, device.cl_device.local_mem_size)
-        if device.lanes > 1 and work_bytes + 64 <= local_bytes:
+        if constants["LONE"]:
+            work_bytes = table_bytes = 0
+        elif device.lanes > 1 and work_bytes + 64 <= local_bytes:
             constants = constants | {"SPACE": "__local", "WORK_IS_LOCAL": 1}
             program = build(device, files, constants)
             work_bytes = 0
         self.constants = constants
         self._kernel = program.kernel("integrate")
+        self._group = int(constants["GROUP_ITEMS"])
+        # Each integrates one point at a time.
+        self._group_teams = self._group // int(constants["LANES"])
         group_bytes = work_bytes + table_bytes
         available = min(scratch_bytes, device.cl_device.max_mem_alloc_size)
         if group_bytes > available:
@@ -127,12 +133,12 @@ class ArrangementStage:
             )
         units = device.cl_device.max_compute_units
         wanted = units if device.lanes == 1 else units * GROUPS_PER_COMPUTE_UNIT
-        self.groups = max(1, min(wanted, available // group_bytes))
+        self.groups = max(1, min(wanted, available // max(1, group_bytes)))
         flags = cl.mem_flags.READ_WRITE
         self._work = cl.Buffer(device.context, flags, size=max(64, self.groups * work_bytes))
-        self._tables = cl.Buffer(device.context, flags, size=self.groups * table_bytes)
+        self._tables = cl.Buffer(device.context, flags, size=max(64, self.groups * table_bytes))
         self._counters = _Counters(device)
-        self._faces = HostArray(device, self.groups, np.uint64)
+        self._faces = HostArray(device, self.groups * self._group_teams, np.uint64)
         self.scratch_bytes = self.groups * group_bytes
 
     def run(
@@ -151,26 +157,27 @@ class ArrangementStage:
             `COUNTERS`, and ``faces`` of all points. The first ``retry`` numbers of `retry` are the
             points to be done again.
         """
-        groups = min(self.groups, end - begin)
-        run = max(1, min(MOST_POPPED, (end - begin) // (groups * 16)))
+        groups = min(self.groups, -(-(end - begin) // self._group_teams))
+        teams = groups * self._group_teams
+        run = max(1, min(MOST_POPPED, (end - begin) // (teams * 16)))
         self._counters.array.fill(0)
         self._faces.fill(0)
         self._kernel(
-            groups * self.device.lanes,
+            groups * self._group,
             begin=begin,
             end=end,
             run=run,
             counters=self._counters.array,
             **({} if points is None else {"list": points}),
             retry=retry,
-            group_faces=self._faces,
+            team_faces=self._faces,
             **networks.outputs,
             all_work=self._work,
             all_tables=self._tables,
             **networks.parameters,
-            group=self.device.lanes,
+            group=self._group,
         )
-        counted = self._counters.read(end - begin)
+        counted = self._counters.read(end - begin, teams)
         return counted | {"faces": int(self._faces.read().sum())}
 
 
@@ -197,8 +204,9 @@ class ClippingStage:
     def run(self, count: int, networks: Networks, failed: cl.Buffer, points: cl.Buffer) -> int:
         """Integrate the first `count` points of a list; returns how many `failed` lists."""
         self._counters.array.fill(0)
+        groups = min(self.groups, count)
         self._kernel(
-            min(self.groups, count),
+            groups,
             count=count,
             counters=self._counters.array,
             list=points,
@@ -208,7 +216,7 @@ class ClippingStage:
             **networks.parameters,
             group=1,
         )
-        return self._counters.read(count)["retry"]
+        return self._counters.read(count, groups)["retry"]
 
 
 def memory_of(program: Program, kernel: str) -> tuple[int, ...]:

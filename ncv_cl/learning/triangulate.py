@@ -10,7 +10,7 @@ import pyopencl as cl
 from ..integration.arrangement import Capacities
 from ..network.fold import FoldedNetwork
 from ..network.network import NetworkError
-from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, Device
+from ..opencl.device import GROUPS_PER_COMPUTE_UNIT, CutShortError, Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import build
@@ -129,29 +129,56 @@ class TriangleWarp(Warp):
         work_bytes = self._groups * int(memory.read()[0])
         self._work = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size=work_bytes)
         self._records = HostArray(device, (1, self.record_words), np.uint32)
-        self._failed = HostArray(device, 1, np.int32)
-        self._failed.fill(0)
+        self._counts = HostArray(device, 3, np.int32)
+        self._counts.fill(0)
+        # Points and groups so far.
+        self._asked = np.zeros(2, np.int64)
+        self._checked = 0
 
     @property
     def undivided(self) -> int:
-        return int(self._failed.read()[0])
+        """Points whose square is not divided.
+
+        Raises
+        ------
+        CutShortError
+            The device's runtime did not finish all points so far.
+        """
+        undivided, *done = self._counts.read().tolist()
+        if done != self._asked.tolist():
+            said = f"cut the square of {done[0]} of {self._asked[0]} points"
+            raise CutShortError.of(self._device, said)
+        return undivided
 
     def records(self, order: HostArray, points: range) -> HostArray:
-        """Records of points order[i], i in `points`, valid until the next call."""
+        """Records of points order[i], i in `points`, valid until the next call.
+
+        Raises
+        ------
+        CutShortError
+            See `undivided`.
+        """
         count = len(points)
         if count > self._records.shape[0]:
             self._records = HostArray(self._device, (count, self.record_words), np.uint32)
+        groups = min(self._groups, count)
+        self._asked += count, groups
         self._program.kernel("triangulate")(
-            min(self._groups, count) * self._device.lanes,
+            groups * self._device.lanes,
             first_point=points.start,
             count=count,
             order=order,
             **self._inputs,
             all_work=self._work,
             records=self._records,
-            failed=self._failed,
+            counts=self._counts,
             group=self._device.lanes,
         )
+        # The more points, the more turns a group's loop takes: what is no longer than one that was
+        # checked is not waited for.
+        if count > self._checked:
+            self._checked = count
+            _ = self.undivided
         return self._records
 
 

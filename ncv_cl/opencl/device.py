@@ -6,6 +6,7 @@ import functools
 import re
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -13,9 +14,10 @@ import pyopencl as cl
 
 from .runtimes import loaded_elsewhere, platforms
 
-# A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA).
+# A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA) that does
+# not tell how many run in step.
 GPU_LANES = 32
-# Work-items in a group of a kernel in which work-items do not cooperate.
+# Work-items in a group of a kernel in which work-items do not cooperate: whole warps, and whole waves.
 GROUP_SIZE = 64
 # Groups on a GPU that share work among themselves: enough to hide latencies, few enough to keep their
 # tables in the cache.
@@ -79,6 +81,16 @@ def once(make: Callable[..., _Made]) -> Callable[..., _Made]:
             return made(*arguments, **options)
 
     return ask
+
+
+class CutShortError(DeviceError):
+    """A device's runtime ended a kernel before all its work was done, as some do after so many turns."""
+
+    @classmethod
+    def of(cls, device: Device, done: str) -> CutShortError:
+        """The error of a device, and what was `done`, as in "integrated 3 of 5 points"."""
+        name = f"{device.name} ({device.platform_version})"
+        return cls(f"{name} {done}: its runtime cut the kernel short. Choose another device")
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,9 +210,24 @@ def _problem(cl_device: cl.Device) -> str | None:
 def default_widths(cl_device: cl.Device) -> tuple[int, int]:
     """(VEC, LANES) for a device: whole vectors and one lane on CPUs, the reverse on GPUs."""
     if cl_device.type & cl.device_type.GPU:
-        return 1, GPU_LANES
+        return 1, lanes_in_step(cl_device)
     native = min(cl_device.native_vector_width_float, widest_vectors(cl_device))
     return (16 if native >= 16 else 8 if native >= 8 else 4), 1
+
+
+def lanes_in_step(cl_device: cl.Device) -> int:
+    """How many work-items of a GPU run in step: a warp on NVIDIA, a wave of 32 or 64 on AMD.
+
+    Asked of the device and not of a kernel, which would have to be compiled first. `GPU_LANES` where the
+    device does not tell.
+    """
+    for name in ("warp_size_nv", "wavefront_width_amd", "preferred_work_group_size_multiple"):
+        # Another vendor's question is an error, or one that the headers do not know.
+        with suppress(cl.Error, AttributeError):
+            lanes = int(getattr(cl_device, name))
+            if lanes in (8, 16, 32, 64):
+                return lanes
+    return GPU_LANES
 
 
 def pocl_version(cl_device: cl.Device) -> tuple[int, int] | None:
