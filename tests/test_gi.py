@@ -255,6 +255,12 @@ def test_bad_options_are_refused(options):
         GlobalIllumination(**options)
 
 
+def test_batches_beyond_exact_floats_are_refused(one_device, monkeypatch):
+    monkeypatch.setattr("ncv_cl.sampling.paths.MOST_PLACES", 1 << 6)
+    with pytest.raises(ValueError, match="64 places at most, not "):
+        render(room(GLOSSY), GlobalIllumination(3), "mc", spp=16, size=(4, 4), device=one_device)
+
+
 def test_scenes_that_do_not_suit_are_refused():
     dark = mesh_scene(quad([-1, 0, -1], [2, 0, 0], [0, 0, 2]), CAMERA)
     with pytest.raises(IntegrandError, match="no light"):

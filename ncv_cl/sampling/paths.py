@@ -26,6 +26,8 @@ from .triangles import triangle_records
 from .warp import Warp, warp_defines
 from .wave import Wave, wave_defines
 
+# Places of a batch at most: paths.cl finds a place's point by a product of floats, exactly below this.
+MOST_PLACES = 1 << 22
 # A depth that no path reaches.
 EVERY_DEPTH = 1 << 30
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
@@ -175,8 +177,16 @@ class PathSource(SampleSource):
         """As `SampleSource.draw`; all samples of the batch are visible, their values complete.
 
         With `paths`, a stream of its own for all but (u, v): other estimates at the same points.
+
+        Raises
+        ------
+        ValueError
+            More points, times samples, than `MOST_PLACES`.
         """
         batch = super().draw(points, samples, stream, order, density)
+        places = len(batch.points) * batch.stride
+        if places > MOST_PLACES:
+            raise ValueError(f"a batch of paths has {MOST_PLACES} places at most, not {places}: cut it")
         begun, traced = time.perf_counter(), self.rays.trace_seconds
         path_stream = stream if paths is None else paths
         self._begin(batch)
@@ -191,10 +201,9 @@ class PathSource(SampleSource):
             bounce += 1
         if under_way is not None:
             self._record(*under_way)
-        count = len(batch.points) * batch.stride
         self._paths.kernel("finish_paths")(
-            -(-count // self.device.vector_width),
-            count=count,
+            -(-places // self.device.vector_width),
+            count=places,
             most=self._most,
             slot=batch.slot,
             visible=batch.visible,
