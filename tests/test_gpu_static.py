@@ -29,12 +29,11 @@ OCCUPANCY = 0.25
 EXCEPTIONS = {
     "column_moments": (40, 64, 0.15, "once an image; all weights of a network are in its loop"),
     "count_leaves": (0, 352, OCCUPANCY, "1024 slices an image; a slice's blocked parts"),
-    "density_tables": (0, 704, OCCUPANCY, "once an image; the cells of a point"),
     "draw_samples": (768, 3600, 0.15, "the free parts of all lines of a work-item; without lines none"),
     "find_occluders": (0, 4512, OCCUPANCY, "once an image; a point's list while it is looked for"),
     "fold": (0, 288, OCCUPANCY, "once an image; a point's features, which every row reads"),
-    "gradients": (1856, 1552, 0.06, "a group shares the activations of a step"),
-    "integrate": (1024, 912, 0.03, "a group shares the arrangement of a point"),
+    "gradients": (0, 0, 0.12, "wide networks: what samples leave lies in local memory"),
+    "integrate": (1024, 7552, 0.03, "a point's arrangement: private, or of a group in local memory"),
     "integrate_robust": (16, 8, OCCUPANCY, "few points; numbers of twice the length"),
     "shade_hits": (0, 144, OCCUPANCY, "four texels of each of a surface's textures"),
 }

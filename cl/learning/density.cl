@@ -12,19 +12,13 @@
  * CELLS rows v_k of DENSITY_HIDDEN, then c.
  * Samples as in train.cl: sample s of column i is element s * stride + i. `features` is structure of arrays.
  *
- * Joined after mlp.cl for FITTING, else after warp.cl.
+ * Joined after mlp.cl for FITTING, else after warp.cl; and before what computes a step's gradients or the densities:
+ * density_gradients.cl and density_tables.cl, or on GPUs density_lanes.cl.
  *
- * Work-group contract: density_gradients runs in groups of exactly LANES work-items, which share the hidden units,
- * VEC a work-item at a time; LANES floats of local memory, barriers for sums over the lanes and for
- * columns' activations under conditions that are the same for the whole group. Every group owns one row of
- * `partial`, and density_adam adds the rows in order: the same bits every time. The others: any size, no local
- * memory, no barriers.
+ * Work-group contract: any size, no local memory, no barriers.
  */
 
 #define CELLS (DENSITY_BINS * DENSITY_BINS)
-#define UNIT_BLOCKS (DENSITY_HIDDEN / VEC)
-/* Hidden units of one work-item, in blocks of VEC. */
-#define OWN_BLOCKS ((UNIT_BLOCKS + LANES - 1) / LANES)
 
 int cell_of(const float u, const float v) {
   const int strip = clamp((int)(u * (float)DENSITY_BINS), 0, DENSITY_BINS - 1);
@@ -33,24 +27,6 @@ int cell_of(const float u, const float v) {
 
 /* log e, kept where neither e nor 1 / e overflow or outweigh all other samples. */
 #define LOG_LIMIT 7.0f
-
-/* Sum over the group; every work-item gets it. */
-float sum_group(const float own, local float *shared) {
-#if LANES == 1
-  (void)shared;
-  return own;
-#else
-  const uint lane = (uint)get_local_id(0);
-  barrier(CLK_LOCAL_MEM_FENCE);
-  shared[lane] = own;
-  for (uint half_width = LANES / 2; half_width > 0; half_width /= 2) {
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (lane < half_width) shared[lane] += shared[lane + half_width];
-  }
-  barrier(CLK_LOCAL_MEM_FENCE);
-  return shared[0];
-#endif
-}
 
 #if FITTING
 /* Mean over channels of (f - g)^2 for every stored sample, over the square of its point's `unit`. One work-item
@@ -88,74 +64,6 @@ kernel void squared_residuals(const uint count, const uint stride, const uint sa
     squared[(first + k) * (ulong)stride + column] = squares[k];
 }
 
-/* One step's gradients: columns first .. first + count, samples sample .. sample + DENSITY_SAMPLES of each. */
-kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void density_gradients(
-    const uint sample, const uint first, const uint count, const uint stride, const float unit_square,
-    global const float *restrict features, global const float *restrict feature_mean,
-    global const float *restrict feature_scale, global const float *restrict all_u,
-    global const float *restrict all_v, global const float *restrict squared,
-    global const float *restrict parameters, global float *restrict partial) {
-  local float shared[LANES];
-  const uint lane = (uint)get_local_id(0);
-  const uint group = (uint)get_group_id(0);
-  const uint groups = (uint)get_num_groups(0);
-  global float *restrict own = partial + group * (ulong)MAGNITUDE_FLOATS;
-  const float share = 1.0f / (float)(count * DENSITY_SAMPLES);
-  for (uint p = lane * VEC; p < MAGNITUDE_FLOATS; p += LANES * VEC) STORE((real)0.0f, own + p);
-  barrier(CLK_GLOBAL_MEM_FENCE);
-
-  for (uint column = first + group; column < first + count; column += groups) {
-    real h[OWN_BLOCKS];
-    real delta_h[OWN_BLOCKS];
-    for (uint k = 0; k < OWN_BLOCKS; ++k) {
-      const uint at = min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC;
-      real sum = LOAD(parameters + MAGNITUDE_UNIT_BIAS + at);
-      for (uint f = 0; f < FEATURES; ++f) {
-        const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
-        sum = FMA(LOAD(parameters + MAGNITUDE_UNITS + f * DENSITY_HIDDEN + at), (real)x, sum);
-      }
-      /* Lanes beyond the last block take part in the sums with zeros. */
-      h[k] = lane + k * LANES < UNIT_BLOCKS ? max(sum, (real)0.0f) : (real)0.0f;
-      delta_h[k] = (real)0.0f;
-    }
-    for (uint s = 0; s < DENSITY_SAMPLES; ++s) {
-      const ulong row = (sample + s) * (ulong)stride + column;
-      const int cell = cell_of(all_u[row], all_v[row]);
-      global const float *restrict weights = parameters + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN;
-      real product = (real)0.0f;
-      for (uint k = 0; k < OWN_BLOCKS; ++k)
-        product = FMA(LOAD(weights + min(lane + k * LANES, (uint)UNIT_BLOCKS - 1) * VEC), h[k], product);
-      const float z = sum_group(sum_lanes(product), shared) + parameters[MAGNITUDE_CELL_BIAS + cell];
-      const float e = exp(clamp(z, -LOG_LIMIT, LOG_LIMIT));
-      /* Beyond the limit only gradients that lead back are used. */
-      const float slope = e - squared[row] * unit_square / e;
-      const float delta = fabs(z) < LOG_LIMIT || z * slope > 0.0f ? slope * share : 0.0f;
-      for (uint k = 0; k < OWN_BLOCKS; ++k) {
-        const uint block = lane + k * LANES;
-        if (block < UNIT_BLOCKS) {
-          global float *restrict gradient = own + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN + block * VEC;
-          STORE(FMA((real)delta, h[k], LOAD(gradient)), gradient);
-          delta_h[k] = FMA((real)delta, LOAD(weights + block * VEC), delta_h[k]);
-        }
-      }
-      if (lane == 0) own[MAGNITUDE_CELL_BIAS + cell] += delta;
-    }
-    for (uint k = 0; k < OWN_BLOCKS; ++k) {
-      const uint block = lane + k * LANES;
-      if (block < UNIT_BLOCKS) {
-        const real delta = SELECT((real)0.0f, delta_h[k], h[k] > 0.0f);
-        for (uint f = 0; f < FEATURES; ++f) {
-          const float x = (features[f * (ulong)stride + column] - feature_mean[f]) * feature_scale[f];
-          global float *restrict gradient = own + MAGNITUDE_UNITS + f * DENSITY_HIDDEN + block * VEC;
-          STORE(FMA((real)x, delta, LOAD(gradient)), gradient);
-        }
-        global float *restrict gradient = own + MAGNITUDE_UNIT_BIAS + block * VEC;
-        STORE(LOAD(gradient) + delta, gradient);
-      }
-    }
-  }
-}
-
 /* Keeps moments of parameters without gradient from decaying to denormal numbers, with which CPUs are slow. */
 #define TINY 1e-30f
 
@@ -184,87 +92,18 @@ void store_row(const real weight[DENSITY_BINS], const real total, const uint val
   real sum = (real)0.0f;
   bits words[DENSITY_ROW] = {(bits)0u, (bits)0u};
   whole before = (whole)0;
+  UNROLL_FOR_LANES
   for (int edge = 1; edge < DENSITY_BINS; ++edge) {
     sum += weight[edge - 1];
     const whole nearest = TO_WHOLE(FMA(sum, units, (real)0.5f));
     before = clamp(nearest, before + 1, (whole)(EDGE_UNITS - DENSITY_BINS + edge));
     words[(edge - 1) / 4] |= TO_BITS(before) << (uint)(8 * ((edge - 1) % 4));
   }
+  UNROLL_FOR_LANES
   for (uint k = 0; k < DENSITY_ROW; ++k) {
     uint word[VEC];
     STORE(words[k], word);
     for (uint lane = 0; lane < valid; ++lane) row[lane * DENSITY_WORDS + k] = word[lane];
   }
-}
-
-/* Sums side by side: independent ones hide the latency of FMA, and stay in registers. DENSITY_HIDDEN and CELLS are
- * multiples of it. */
-#define SUMS 8
-
-/* The densities of points first_point .. first_point + count, whose features are the first `count` columns, and
- * the mean of e over the square in `magnitude`. A share of UNIFORM_SHARE of each density is uniform. */
-kernel void density_tables(const uint count, const uint stride, const uint first_point,
-                           global const float *restrict features,
-                           global const float *restrict feature_mean,
-                           global const float *restrict feature_scale,
-                           global const float *restrict parameters, global float *restrict magnitude,
-                           global uint *restrict density) {
-  const uint first = (uint)get_global_id(0) * VEC;
-  if (first >= count) return;
-  const uint valid = min((uint)VEC, count - first);
-  real x[FEATURES];
-  for (uint f = 0; f < FEATURES; ++f)
-    x[f] = (LOAD(features + f * (ulong)stride + first) - feature_mean[f]) * feature_scale[f];
-  real h[DENSITY_HIDDEN];
-  for (uint j = 0; j < DENSITY_HIDDEN; j += SUMS) {
-    real sum[SUMS];
-#pragma unroll
-    for (uint k = 0; k < SUMS; ++k) sum[k] = (real)parameters[MAGNITUDE_UNIT_BIAS + j + k];
-    for (uint f = 0; f < FEATURES; ++f) {
-#pragma unroll
-      for (uint k = 0; k < SUMS; ++k)
-        sum[k] = FMA((real)parameters[MAGNITUDE_UNITS + f * DENSITY_HIDDEN + j + k], x[f], sum[k]);
-    }
-#pragma unroll
-    for (uint k = 0; k < SUMS; ++k) h[j + k] = max(sum[k], (real)0.0f);
-  }
-
-  real e[CELLS];
-  real total = (real)0.0f;
-  for (uint cell = 0; cell < CELLS; cell += SUMS) {
-    global const float *restrict weights = parameters + MAGNITUDE_ROWS + cell * DENSITY_HIDDEN;
-    real z[SUMS];
-#pragma unroll
-    for (uint k = 0; k < SUMS; ++k) z[k] = (real)parameters[MAGNITUDE_CELL_BIAS + cell + k];
-    for (uint j = 0; j < DENSITY_HIDDEN; ++j) {
-#pragma unroll
-      for (uint k = 0; k < SUMS; ++k) z[k] = FMA((real)weights[k * DENSITY_HIDDEN + j], h[j], z[k]);
-    }
-#pragma unroll
-    for (uint k = 0; k < SUMS; ++k) {
-      e[cell + k] = exp(clamp(z[k], (real)-LOG_LIMIT, (real)LOG_LIMIT));
-      total += e[cell + k];
-    }
-  }
-  const real mean = total * (1.0f / CELLS);
-  float means[VEC];
-  STORE(mean, means);
-  for (uint lane = 0; lane < valid; ++lane) magnitude[first_point + first + lane] = means[lane];
-
-  global uint *restrict record = density + (first_point + first) * (ulong)DENSITY_WORDS;
-  const real uniform_part = mean * (UNIFORM_SHARE / (1.0f - UNIFORM_SHARE));
-  real strips[DENSITY_BINS];
-  real all = (real)0.0f;
-  for (uint strip = 0; strip < DENSITY_BINS; ++strip) {
-    real *cells = e + strip * DENSITY_BINS;
-    strips[strip] = (real)0.0f;
-    for (uint bin = 0; bin < DENSITY_BINS; ++bin) {
-      cells[bin] += uniform_part;
-      strips[strip] += cells[bin];
-    }
-    store_row(cells, strips[strip], valid, record + DENSITY_CELLS + DENSITY_ROW * strip);
-    all += strips[strip];
-  }
-  store_row(strips, all, valid, record + DENSITY_STRIPS);
 }
 #endif

@@ -21,8 +21,8 @@
  * every time. The first IDLE_GROUPS groups do nothing (train.py says why).
  *
  * Work-group contract: `gradients` runs in groups of exactly LANES work-items, TILE a multiple of VEC;
- * barriers between the phases of the tile loop, whose bounds are the same for the whole group.
- * store_samples: any size, no local memory, no barriers.
+ * barriers between the phases of the tile loop, whose bounds are the same for the whole group. GPUs take
+ * train_lanes.cl in its place.
  */
 
 #define THETA_ROWS (HEAD_ROWS + BASE_ROWS)
@@ -360,33 +360,5 @@ kernel __attribute__((reqd_work_group_size(LANES, 1, 1))) void gradients(
     heads_gradient(lane, is_first, per_sample, feature_columns, (local const float *)delta_theta, own);
     base_gradient(lane, is_first, per_sample, delta_theta, losses, own);
     barrier(CLK_LOCAL_MEM_FENCE);
-  }
-}
-
-/* Samples of a batch into training order: row s of `u`, `v`, plane (s * CHANNELS + c) of `target`, all
- * with `stride` columns; position[p] is the column of shading point p. One work-item VEC samples. */
-kernel void store_samples(const uint first_point, const uint point_count, const uint sample_count,
-                          const uint batch_stride, const uint stride, const uint first_row,
-                          global const uint *restrict position, global const float *restrict batch_u,
-                          global const float *restrict batch_v, global const float *restrict value,
-                          global const uint *restrict slot, global const uchar *restrict visible,
-                          global float *restrict u, global float *restrict v,
-                          global float *restrict target) {
-  const uint blocks = batch_stride / VEC;
-  const uint item = (uint)get_global_id(0);
-  if (item >= point_count * blocks) return;
-  const uint point = item / blocks;
-  const uint first = (item % blocks) * VEC;
-  const ulong at = (ulong)point * batch_stride + first;
-  const ulong plane = (ulong)point_count * batch_stride;
-  const uint column = position[first_point + point];
-  float seen[VEC];
-  STORE(load_visibility(slot, visible, at), seen);
-  for (uint lane = 0; lane < VEC && first + lane < sample_count; ++lane) {
-    const ulong row = first_row + first + lane;
-    u[row * stride + column] = batch_u[at + lane];
-    v[row * stride + column] = batch_v[at + lane];
-    for (uint c = 0; c < CHANNELS; ++c)
-      target[(row * CHANNELS + c) * stride + column] = value[c * plane + at + lane] * seen[lane];
   }
 }

@@ -15,7 +15,7 @@ from ..host.files import array_of, read_arrays, real_number
 from ..network.encode import Encoder
 from ..network.fold import POINTS_PER_FOLD, FoldedNetwork
 from ..network.network import Network, NetworkDescription, NetworkError
-from ..opencl.device import Device
+from ..opencl.device import GPU_LOCAL_BYTES, GROUP_SIZE, Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -25,8 +25,11 @@ from ..sampling.warp import DENSITY_BINS, DENSITY_WORDS, warp_defines
 from . import tuning
 from .train import TrainingSamples
 
-# Work-groups of a gradient step; fixed, so that the order of additions does not depend on the device.
+# Work-groups of a gradient step at most; fixed, so that the order of additions does not depend on the
+# device. On GPUs, a work-item a sample of the default's steps, the groups and the columns of each; and
+# the points of a group that tabulates, a work-item a strip.
 GRADIENT_GROUPS = 16
+GPU_GROUPS, GPU_COLUMNS, GPU_POINTS = 64, 4, 8
 DENSITY_CELLS = DENSITY_BINS**2
 # A file's density leaves at least this much uniform, or weights have no bound.
 SMALLEST_UNIFORM_SHARE = 1e-3
@@ -196,7 +199,13 @@ def tabulate(
     unit : ndarray, optional
         float32 (points.active,), each point's scale, as the trainer was given it.
     """
-    program = build(device, ("common", "warp", "density"), density.settings.defines(network.description))
+    defines = density.settings.defines(network.description)
+    if _by_groups(device, density.settings):
+        defines |= {"TILE": GPU_POINTS, "GROUP_ITEMS": GROUP_SIZE}
+        file, items = "density_lanes", GROUP_SIZE / GPU_POINTS
+    else:
+        file, items = "density_tables", 1 / device.vector_width
+    program = build(device, ("common", "warp", "density", file), defines)
     table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
@@ -210,7 +219,7 @@ def tabulate(
         encoder = Encoder(device, network.description.encoding, points, network.cube, order)
         encoder.encode_grid(entries)
         program.kernel("density_tables")(
-            -(-count // device.vector_width),
+            math.ceil(count * items),
             count=count,
             stride=encoder.stride,
             first_point=first,
@@ -222,6 +231,13 @@ def tabulate(
     scale = density.unit if unit is None else density.unit * unit.astype(np.float64)
     magnitudes = magnitude.read().astype(np.float64) * scale
     return Density(table, magnitudes, density.settings.uniform_share)
+
+
+def _by_groups(device: Device, settings: DensitySettings) -> bool:
+    """Whether groups share columns (density_lanes.cl): on GPUs, if local memory holds all rows."""
+    rows_bytes = 4 * DENSITY_CELLS * settings.hidden
+    by_lanes = device.lanes > 1 and device.vector_width == 1
+    return by_lanes and rows_bytes <= GPU_LOCAL_BYTES // 2
 
 
 class DensityTrainer:
@@ -253,6 +269,7 @@ class DensityTrainer:
         mean, deviation = features.mean(1, dtype=np.float64), features.std(1, dtype=np.float64)
         scale = np.where(deviation > 0, 1 / np.maximum(deviation, 1e-30), 0.0)
         self._mean, self._scale = (HostArray.of(device, a.astype(np.float32)) for a in (mean, scale))
+        self._by_samples = _by_groups(device, self.settings)
         self._program = self._build()
         self._squared = self._squared_residuals(unit)
         with self._squared.mapped() as squared:
@@ -262,7 +279,8 @@ class DensityTrainer:
         self._moments = {
             name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
         }
-        self._partial = HostArray(device, (GRADIENT_GROUPS, len(start)), np.float32)
+        rows = GPU_GROUPS if self._by_samples else GRADIENT_GROUPS
+        self._partial = HostArray(device, (rows, len(start)), np.float32)
 
     @property
     def _step_samples(self) -> int:
@@ -278,7 +296,10 @@ class DensityTrainer:
             "ADAM_BETA2": f"{settings.beta2!r}f",
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
         }
-        return build(self.device, ("common", "mlp", "density"), defines)
+        if self._by_samples:
+            defines |= {"TILE": GPU_COLUMNS, "GROUP_ITEMS": GROUP_SIZE}
+        step = "density_lanes" if self._by_samples else "density_gradients"
+        return build(self.device, ("common", "mlp", "density", step), defines)
 
     def _start(self, features: int) -> np.ndarray:
         """Random start: He-uniform units, and rows so small that e is near the samples' RMS."""
@@ -337,10 +358,12 @@ class DensityTrainer:
 
     def gradients(self, sample: int, first: int, count: int) -> int:
         """Enqueue one step's gradients; returns the number of rows of partial sums."""
-        samples, lanes = self._samples, self.device.lanes
-        groups = min(GRADIENT_GROUPS, count)
+        samples, group, columns = self._samples, self.device.lanes, 1
+        if self._by_samples:
+            group, columns = GROUP_SIZE, GPU_COLUMNS
+        groups = min(self._partial.shape[0], -(-count // columns))
         self._program.kernel("density_gradients")(
-            groups * lanes,
+            groups * group,
             sample=sample,
             first=first,
             count=count,
@@ -354,7 +377,7 @@ class DensityTrainer:
             squared=self._squared,
             parameters=self._parameters,
             partial=self._partial,
-            group=lanes,
+            group=group,
         )
         return groups
 

@@ -23,6 +23,7 @@ from ..settings.schedule import Schedule
 from ..settings.settings import Settings
 from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
+from .growth import batch_growth, grown
 from .held_out import HeldOut
 from .train import Trainer, TrainingSamples
 
@@ -157,7 +158,8 @@ class _Learning:
             self._draw(Stream.HELD_OUT, chosen, samples, accumulator, held_out.store)
         for number, current in enumerate(budget.rounds, 1):
             began = time.perf_counter()
-            schedule, losses = self._schedule(slower, current), list(done.losses)
+            schedule = self._grown(self._schedule(slower, current), current)
+            losses = list(done.losses)
             trainer = self._train(schedule, current, accumulator, done.trainer, losses)
             with self.run.watch("train"):
                 done.network, done.trainer, done.losses = trainer.network(), trainer, losses
@@ -197,6 +199,14 @@ class _Learning:
             final_rate=min(rate, schedule.final_rate),
             epochs=_enough_epochs(preset, epochs, len(current.chosen), len(current.samples)),
         )
+
+    def _grown(self, base: Schedule, current: Round) -> Schedule:
+        """The schedule with as large minibatches as fill the device; the slides' own is kept."""
+        preset = self.settings.preset
+        if not preset.subset:
+            return base
+        device, most = self.problem.device, preset.schedule.epochs
+        return grown(base, batch_growth(device, base, most, len(current.chosen)))
 
     def _train(
         self,

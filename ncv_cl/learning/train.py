@@ -13,7 +13,7 @@ from ..host.clock import CHECKED_STEPS
 from ..network.encode import Encoder, GridIndex, TouchedTable
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
-from ..opencl.device import GPU_LOCAL_BYTES, Device
+from ..opencl.device import Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -22,12 +22,8 @@ from ..points.sampler import HostStream, host_generator
 from ..sampling.samples import Batch, ray_defines
 from ..settings.schedule import Schedule
 from . import tuning
+from .step_shape import PARTIAL_SUMS, StepShape
 
-# PoCL hands each thread that asks 1 + (groups left) / (threads) groups: of the few groups of a step the
-# first thread would get too many, were its first ones not empty.
-CPU_IDLE_GROUPS = 2
-# Rows of partial sums; fixed, so that the order of additions does not depend on the device's size.
-PARTIAL_SUMS = 64
 # A step: the first of its samples, its columns, its work-groups, and its entries of the grid's index.
 PLAN = Record(
     "PLAN",
@@ -141,10 +137,11 @@ class Trainer:
             table = network.table
         moments = 2 * description.encoding.grid_features if settings.table_adam else 2
         self._table = TouchedTable(device, table, self._index.touched, moments)
+        self._shape = StepShape.of(device, description, self._layout, settings, samples)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))
-        tiles = [min(PARTIAL_SUMS, -(-len(batch) // self._tile)) for batch in self._batches]
-        self._gradient_items = [(n + self._idle_groups) * device.lanes for n in tiles]
+        groups = [self._shape.groups(len(batch)) for batch in self._batches]
+        self._gradient_items = [(n + self._shape.idle_groups) * self._shape.group for n in groups]
         blocks = self._layout.size // device.vector_width
         self._adam_items = [
             blocks + -(-len(entries) // device.vector_width) for entries in self._index.batches
@@ -212,7 +209,7 @@ class Trainer:
         self._bind(*self._plan(order, parts * len(order)))
         losses = []
         for number, (_, batch) in enumerate(order):
-            self._gradients.repeat(number, self._gradient_items[batch], self.device.lanes)
+            self._gradients.repeat(number, self._gradient_items[batch], self._shape.group)
             self._adam.repeat(number, self._adam_items[batch])
             if check is not None and number % CHECKED_STEPS == 0:
                 self.device.queue.finish()
@@ -258,7 +255,7 @@ class Trainer:
         sample, batch = np.array(order).T
         columns = np.array([(b.start, len(b)) for b in self._batches])[batch]
         entries = np.array([(e.start, e.stop) for e in self._index.batches])[batch]
-        groups = np.minimum(PARTIAL_SUMS, -(-columns[:, 1] // self._tile))
+        groups = np.array([self._shape.groups(count) for count in columns[:, 1].tolist()])
         plan = PLAN.pack(
             sample=sample,
             first=columns[:, 0],
@@ -313,32 +310,13 @@ class Trainer:
         self._bound = plan, rates
 
     def _build(self) -> Program:
-        description, settings, device = self._start.description, self.settings, self.device
-        features, layout = description.encoding.feature_count, self._layout
-        vec = device.vector_width
-        rows = description.head_rows + description.base_rows
-        hidden = min(settings.samples_a_step, self.samples) * sum(description.hidden)
-        floats_a_column = features + layout.feature_floats + 2 * rows + hidden + 1
-        available = device.cl_device.local_mem_size
-        budget = min(tuning.CPU_LOCAL_BYTES if device.lanes == 1 else GPU_LOCAL_BYTES, available)
-        largest = tuning.CPU_TILE if device.lanes == 1 else tuning.GPU_TILE
-        self._tile = vec
-        while 8 * self._tile * floats_a_column <= budget and self._tile < largest:
-            self._tile *= 2
-        if 4 * self._tile * floats_a_column > available:
-            raise MemoryError(
-                f"training hidden layers of {description.hidden} needs "
-                f"{4 * self._tile * floats_a_column} bytes of local memory, but {device.name} has "
-                f"{available}: use a narrower network or fewer modulated groups"
-            )
-        self._idle_groups = CPU_IDLE_GROUPS if device.is_cpu else 0
+        description, settings, shape = self._start.description, self.settings, self._shape
         defines = {
             **description.defines(),
-            **layout.defines(),
+            **self._layout.defines(),
             **PLAN.defines(),
             **RATES.defines(),
-            "TILE": self._tile,
-            "IDLE_GROUPS": f"{self._idle_groups}u",
+            **shape.defines,
             "ENTRY_FLOATS": f"{self._table.entry_floats}u",
             "SAMPLES_A_STEP": min(settings.samples_a_step, self.samples),
             "ADAM_BETA1": f"{settings.beta1!r}f",
@@ -348,4 +326,5 @@ class Trainer:
             "ADAM_EPSILON": f"{settings.epsilon!r}f",
             **ray_defines(),
         }
-        return build(device, ("common", "surface", "encode", "batch", "mlp", "train", "adam"), defines)
+        files = ("common", "surface", "encode", "batch", "mlp", shape.file, "store", "adam")
+        return build(self.device, files, defines)

@@ -41,10 +41,13 @@ MOST_EPOCHS = 128
 
 # Columns of a minibatch that one work-group holds, at most, and the bytes of cache they may take on a
 # CPU. There, small tiles share a step's columns among more threads: python bench/bench_tuning.py
-# CPU_TILE CPU_LOCAL_BYTES GPU_TILE, on a GPU with --wall.
+# CPU_TILE CPU_LOCAL_BYTES.
 CPU_TILE = 16
 CPU_LOCAL_BYTES = 256 << 10
-GPU_TILE = 64
+
+# Samples of a step for each compute unit of a GPU: a warp for each of its four schedulers. What
+# minibatches so large leave of the residual: python bench/bench_growth.py.
+GPU_STEP_ITEMS = 128
 
 # A tile of the image has about so many training samples, whose points share one control coefficient a
 # channel: python bench/bench_tuning.py SAMPLES_A_TILE.
