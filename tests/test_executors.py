@@ -167,7 +167,7 @@ def test_each_tasks_device_is_in_the_metadata():
         ({"executor": Inline(), "shared": "/nowhere"}, "a folder that exists"),
         ({"executor": Inline(), "task_limit": 0}, "task_limit must be a positive number"),
     ],
-    ids=str,
+    ids=lambda value: " and ".join(value) if isinstance(value, dict) else "",
 )
 def test_options_without_effect_or_sense_are_errors(options, said):
     with pytest.raises(ValueError, match=said):
