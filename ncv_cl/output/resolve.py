@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands.emitted import emitted_light
-from ..points.background import background_directions
 from ..points.points import SURFACE, ShadingPoints
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
 from ..settings.settings import Settings
+from .background import background_directions
 from .image import Image
 from .pixel_grid import LARGE, PixelGrid
 

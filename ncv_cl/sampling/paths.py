@@ -97,22 +97,11 @@ class PathSource(SampleSource):
             HostArray(device, 1, t) for t in (np.uint32, np.float32)
         )
         self._recorder: GuideRecorder | None = None
-        surface = ("common", "sampler", "surface", "bsdf", "bounce", "dielectric")
-        surface += (*LIGHT_FILES, "environment")
         self._files = (
-            *surface,
-            "textures",
-            "warp",
-            "guide",
-            "shadow",
-            "closest",
-            "batch",
-            "wave",
-            "vertex",
-            "place",
-            "share",
+            "common", "sampler", "surface", "bsdf", "bounce", "dielectric", *LIGHT_FILES, "environment",
+            "textures", "warp", "guide", "shadow", "closest", "batch", "wave", "vertex", "place", "share",
             "paths",
-        )
+        )  # fmt: skip
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..points.points import CAMERA, ShadingPoints, camera_record
 from ..scene.load import Camera
-from .points import CAMERA, ShadingPoints, camera_record
 
 # Directions that are made at a time.
 PART = 1 << 18
