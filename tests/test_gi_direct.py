@@ -96,7 +96,7 @@ def test_direct_light_apart_is_the_same_image(one_device, name, method):
     assert all(image.stats["direct"]["samples_per_point"] > 1 for image in images)
 
 
-@pytest.mark.parametrize("depth", [2, 3])
+@pytest.mark.parametrize("depth", [3, 4])
 def test_emission_is_found_where_direct_light_is_apart_and_paths_are_short(one_device, depth):
     scene = emissive_room()
     options = {

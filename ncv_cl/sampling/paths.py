@@ -99,8 +99,8 @@ class PathSource(SampleSource):
         self._recorder: GuideRecorder | None = None
         self._files = (
             "common", "sampler", "surface", "bsdf", "bounce", "dielectric", *LIGHT_FILES, "environment",
-            "textures", "warp", "guide", "shadow", "closest", "batch", "wave", "vertex", "place", "share",
-            "paths",
+            "textures", "warp", "guide", "shadow", "closest", "batch", "wave", "vertex", "place",
+            "share", "paths",
         )  # fmt: skip
         self._defines = {
             **surface_defines(),

@@ -102,8 +102,12 @@ class HostRays:
             self.arguments["distances"].mapped(count=rays) as distances,
             visible.mapped(write=True, count=rays) as answers,
         ):
-            let_through = np.ones((rays, 3), np.float32) if self._sees_through else None
-            self._tracer.visible(origins, directions, distances, answers, let_through)
+            if self._sees_through:
+                let_through = np.ones((rays, 3), np.float32)
+                self._tracer.visible(origins, directions, distances, answers, let_through)
+            else:
+                let_through = None
+                self._tracer.visible(origins, directions, distances, answers)
         count.trace_seconds += time.perf_counter() - started
         count.add(counted, samples)
         return let_through
