@@ -66,6 +66,8 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"shape": "sphere", "scale": 1.0, "place": 50.0}),
     ("global illumination", "test_gi", "test_matte_scenes_match_an_independent_path_tracer",
      {"depth": 3, "lights": None}),
+    ("shared paths", "test_share", "test_sharing_changes_no_expectation",
+     {"kind": "smooth", "depth": None}),
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),
     ("control coefficient", "test_alpha", "test_a_coefficient_of_zero_leaves_plain_monte_carlo", {}),
     ("slices", "test_slices_auto", "test_refused_slices_are_those_of_a_draw", {}),
