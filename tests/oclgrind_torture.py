@@ -24,7 +24,8 @@ def main(method: str, precision: str, vec: str, lanes: str, name: str, *capacity
     device = open_device(simulator, vector_width=int(vec), lanes=int(lanes))
     if capacity:
         original = integrator.shape_constants
-        integrator.shape_constants = lambda *shape: original(*shape) | {capacity[0]: capacity[1]}
+        room = int(capacity[1]) if capacity[1].isdigit() else capacity[1]
+        integrator.shape_constants = lambda *shape: original(*shape) | {capacity[0]: room}
     arrays = np.load(Path(__file__).with_name("torture_networks.npz"))
     layers = sum(key.startswith(f"{name}/W") for key in arrays.files)
     weights, biases = ([arrays[f"{name}/{letter}{k}"] for k in range(layers)] for letter in "WB")

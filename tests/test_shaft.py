@@ -183,7 +183,9 @@ def test_shafts_are_looked_for_where_lights_are_few(one_device, scenes, tmp_path
         image = render(path, "direct", "mc", visibility="points", **options)
         assert ("shafts" in image.stats["seconds"]) == (lamps == MOST_LIGHTS)
         if lamps > MOST_LIGHTS:
-            with pytest.raises(ValueError, match="at most 8 lights, there are 9"):
+            with pytest.raises(
+                ValueError, match="at most 8 parallelograms, triangles and discs that shine, there are 9"
+            ):
                 render(path, "direct", "mc", visibility="lines", **options)
         traced = render(path, "direct", "mc", visibility="embree", **options)
         np.testing.assert_array_equal(image.pixels, traced.pixels)

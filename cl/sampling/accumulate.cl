@@ -14,8 +14,8 @@
  * work-item and a barrier after each step of the merge where LANES > 1, none of either where LANES is 1.
  * No work-item leaves early: those past the end repeat the last point and write nothing.
  * Batch point i is shading point order[first_point + i]. With WEIGHTED each sample counts by its `weight`, one
- * over the density that it was drawn with. Where paths are shared (share.cl) a sample is the mean of `entries` ones, all
- * weighted: `entries` runs of `stride` elements a point.
+ * over the density that it was drawn with. Where paths are shared (share.cl) a sample is the mean of ENTRIES ones, all
+ * weighted: ENTRIES runs of `stride` elements a point.
  */
 
 #define QUANTITIES (1 + WITH_NETWORK)
@@ -54,7 +54,7 @@ void add_to_state(global float *restrict state, const ulong stride, const float 
 
 kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void accumulate(
     const uint first_point, const uint point_count, const uint total_points, const uint sample_count,
-    const uint stride, const uint entries, const float previous_count, global const uint *restrict order,
+    const uint stride, const float previous_count, global const uint *restrict order,
     global const float *restrict value,
     global const uint *restrict slot, global const uchar *restrict visible,
 #if WEIGHTED
@@ -71,8 +71,10 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
   const uint item = (uint)get_global_id(0) / LANES;
   const uint batch_point = min(item, point_count - 1);
   const uint point = order[first_point + batch_point];
-  const ulong plane = (ulong)point_count * entries * stride;
-  const float entry_share = 1.0f / (float)entries;
+  const ulong plane = (ulong)point_count * ENTRIES * stride;
+#if WEIGHTED
+  const float entry_share = 1.0f / (float)ENTRIES;
+#endif
 
   real shift[QUANTITIES * CHANNELS];
   real sum[QUANTITIES * CHANNELS];
@@ -88,8 +90,8 @@ kernel __attribute__((reqd_work_group_size(GROUP_POINTS * LANES, 1, 1))) void ac
     const whole valid = LANE_NUMBER + first < sample_count;
     const float block_count = (float)min((uint)VEC, sample_count - first);
     real x[QUANTITIES * CHANNELS];
-    for (uint entry = 0; entry < entries; ++entry) {
-      const ulong at = ((ulong)batch_point * entries + entry) * stride + first;
+    for (uint entry = 0; entry < ENTRIES; ++entry) {
+      const ulong at = ((ulong)batch_point * ENTRIES + entry) * stride + first;
       const real seen = load_visibility(slot, visible, at);
       real y[QUANTITIES * CHANNELS];
 #pragma unroll

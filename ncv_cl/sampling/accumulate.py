@@ -155,7 +155,8 @@ class Accumulator:
         """
         previous = self._samples_of_all if previous is None else previous
         weighted = batch.weight is not None
-        program = build(self._device, self._files, {**self._defines, "WEIGHTED": int(weighted)})
+        own = {"WEIGHTED": int(weighted), "ENTRIES": f"{batch.entries}u"}
+        program = build(self._device, self._files, {**self._defines, **own})
         inputs = {"weight": batch.weight} if weighted else {}
         if self.network is not None:
             inputs |= {"u": batch.u, "v": batch.v, **self.network.arrays}
@@ -166,7 +167,6 @@ class Accumulator:
             total_points=self.points.active,
             sample_count=batch.samples,
             stride=batch.stride,
-            entries=batch.entries,
             previous_count=float(previous),
             order=batch.order,
             value=batch.value,
