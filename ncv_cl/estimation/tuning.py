@@ -26,8 +26,8 @@ import math
 #       ncv      : ratio 0.32 at worst, 0.69 mean
 #     QUICK_PATHS_THAT_PAY = 1 << 9
 #       this     : ratio 1.00 at worst, 1.00 mean
-#       mc       : ratio 0.78 at worst, 0.99 mean
-#       ncv      : ratio 0.38 at worst, 0.66 mean
+#       mc       : ratio 0.74 at worst, 0.98 mean
+#       ncv      : ratio 0.35 at worst, 0.65 mean
 #     SLICES_THAT_PAY = math.inf
 #       this     : ratio 1.00 at worst, 1.00 mean
 #       mc       : ratio 1.00 at worst, 1.00 mean
