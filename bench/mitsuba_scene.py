@@ -29,8 +29,8 @@ import sys
 from types import ModuleType
 
 import numpy as np
+from mitsuba_surface import glass, lambert, register, rgb
 
-from ncv_cl.scene.geometry import SMALLEST_ROUGHNESS
 from ncv_cl.scene.lights.kinds import SphereLight, SpotLight
 from ncv_cl.scene.lights.mesh import disc_axes
 from ncv_cl.scene.load import Material, QuadLight, Scene
@@ -109,15 +109,13 @@ class MitsubaScene:
         self.white_under_sky = white_under_sky
         items: dict[str, object] = {"type": "scene"}
         if white_under_sky:
-            items["sky"] = {"type": "constant", "radiance": _rgb(np.ones(3))}
+            items["sky"] = {"type": "constant", "radiance": rgb(np.ones(3))}
         items |= self._meshes()
         for number, light in enumerate(scene.lights):
             items |= self._light(number, light)
         if scene.environment is not None and not white_under_sky:
             items |= self._environment(scene.environment)
         self.scene = mitsuba.load_dict(items)
-
-    # ---- conversion ----------------------------------------------------------------------------------
 
     def _meshes(self) -> dict[str, object]:
         """One mesh for each material, flat and smooth triangles apart."""
@@ -155,7 +153,7 @@ class MitsubaScene:
         mi, properties = self.mitsuba, self.mitsuba.Properties()
         properties["mesh_bsdf"] = mi.load_dict(self._bsdf(material, coloured))
         if material.emission.any() and not self.white_under_sky:
-            emitter = {"type": "area", "radiance": _rgb(material.emission)}
+            emitter = {"type": "area", "radiance": rgb(material.emission)}
             properties["mesh_emitter"] = mi.load_dict(emitter)
         return properties
 
@@ -186,22 +184,20 @@ class MitsubaScene:
 
     def _bsdf(self, material: Material, coloured: bool = False) -> dict[str, object]:
         if self.white_under_sky:
-            return _lambert(np.ones(3))
+            return lambert(np.ones(3))
         if material.is_glass and not coloured and material.maps is None:
-            return _glass(material)
+            return glass(material)
         if coloured or material.maps is not None:
             return self._varying(material, coloured)
         if not np.any(material.reflectance):
-            return _lambert(material.albedo)
+            return lambert(material.albedo)
         if not self.llvm:
             raise NotImplementedError("GGX over Lambert takes an llvm variant of Mitsuba")
-        from mitsuba_surface import register
-
         register(self.mitsuba)
         return {
             "type": "ggx_over_lambert",
-            "albedo": _rgb(material.albedo),
-            "reflectance": _rgb(material.reflectance),
+            "albedo": rgb(material.albedo),
+            "reflectance": rgb(material.reflectance),
             "roughness": material.roughness,
         }
 
@@ -214,7 +210,7 @@ class MitsubaScene:
                 "only textures of colour are compared, on Lambert without colours of vertices"
             )
         if texture is None:
-            return _lambert({"type": "mesh_attribute", "name": "vertex_color"})
+            return lambert({"type": "mesh_attribute", "name": "vertex_color"})
         if len(set(texture.wrap)) > 1:
             raise NotImplementedError("Mitsuba's images go on alike along both axes")
         # Its first row is at v = 0, as of texels.
@@ -226,7 +222,7 @@ class MitsubaScene:
             "filter_type": "nearest" if texture.nearest else "bilinear",
             "wrap_mode": texture.wrap[0],
         }
-        return _lambert(image)
+        return lambert(image)
 
     def _light(self, number: int, light: Light) -> dict[str, object]:
         """Emitting and black, or white without light under the sky."""
@@ -246,10 +242,10 @@ class MitsubaScene:
             item: dict[str, object] = {
                 "type": "rectangle",
                 "to_world": self._parallelogram(light.corner + shift, edge1, edge2),
-                "bsdf": _lambert(np.full(3, float(self.white_under_sky))),
+                "bsdf": lambert(np.full(3, float(self.white_under_sky))),
             }
             if not self.white_under_sky:
-                item["emitter"] = {"type": "area", "radiance": _rgb(light.radiance)}
+                item["emitter"] = {"type": "area", "radiance": rgb(light.radiance)}
             found[f"light{number}{side}"] = item
         return found
 
@@ -280,7 +276,7 @@ class MitsubaScene:
             found[f"sun{number}"] = {
                 "type": "directional",
                 "direction": [float(x) for x in -sun.towards],
-                "irradiance": _rgb(sun.irradiance),
+                "irradiance": rgb(sun.irradiance),
             }
         return found
 
@@ -293,13 +289,13 @@ class MitsubaScene:
             return {
                 "type": "spot",
                 "to_world": self.mitsuba.ScalarTransform4f().look_at(begin, end, up),
-                "intensity": _rgb(light.intensity),
+                "intensity": rgb(light.intensity),
                 "cutoff_angle": light.outer_angle,
                 "beam_width": light.inner_angle,
             }
         item = {
-            "emitter": {"type": "area", "radiance": _rgb(light.radiance)},
-            "bsdf": _lambert(np.zeros(3)),
+            "emitter": {"type": "area", "radiance": rgb(light.radiance)},
+            "bsdf": lambert(np.zeros(3)),
         }
         if isinstance(light, SphereLight):
             centre = [float(x) for x in light.centre]
@@ -342,8 +338,6 @@ class MitsubaScene:
     def _extent(self) -> float:
         camera = np.asarray(self.source.camera.position)
         return float(np.abs(self.source.bounds - camera).max())
-
-    # ---- radiance along our rays ---------------------------------------------------------------------
 
     def radiance(
         self,
@@ -401,29 +395,3 @@ class MitsubaScene:
                     found[cell] += np.array(value)
                 sampler.advance()
         return found / spp
-
-
-def _rgb(colour: np.ndarray) -> dict[str, object]:
-    """Mitsuba's unbounded colour; its ``rgb`` clamps and is for reflectances."""
-    return {"type": "rgb", "value": [float(x) for x in colour]}
-
-
-def _glass(material: Material) -> dict[str, object]:
-    """A dielectric, its outside air."""
-    common = {
-        "int_ior": material.ior,
-        "ext_ior": 1.0,
-        "specular_transmittance": _rgb(material.transmission),
-    }
-    if material.thin:
-        return {"type": "thindielectric", **common}
-    if material.roughness <= SMALLEST_ROUGHNESS:
-        return {"type": "dielectric", **common}
-    return {"type": "roughdielectric", "distribution": "ggx", "alpha": material.roughness**2, **common}
-
-
-def _lambert(albedo: np.ndarray | dict[str, object]) -> dict[str, object]:
-    """Of an albedo or of a texture of Mitsuba's."""
-    reflectance = albedo if isinstance(albedo, dict) else _rgb(albedo)
-    lambert = {"type": "diffuse", "reflectance": reflectance}
-    return {"type": "twosided", "material": lambert}

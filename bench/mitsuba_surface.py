@@ -1,4 +1,4 @@
-"""The scattering of `bsdf.cl` as a BSDF of Mitsuba's: GGX over Lambert, Schlick's Fresnel term.
+"""Surfaces in Mitsuba's hands; `bsdf.cl` as a BSDF of its own: GGX over Lambert, Schlick's Fresnel term.
 
 f_r = albedo / π (1 − F(cos_i)) (1 − F(cos_o)) + D G2 F(h · o) / (4 cos_i cos_o), two-sided. Written anew
 from the formula, in Mitsuba's arrays; directions are drawn from a cosine lobe and from the visible
@@ -9,6 +9,11 @@ from __future__ import annotations
 
 import functools
 from types import ModuleType
+
+import numpy as np
+
+from ncv_cl.scene.geometry import SMALLEST_ROUGHNESS
+from ncv_cl.scene.load import Material
 
 
 @functools.cache
@@ -96,3 +101,29 @@ def _surface(mi: ModuleType) -> type:
             return f"GgxOverLambert[alpha={self.alpha}]"
 
     return GgxOverLambert
+
+
+def rgb(colour: np.ndarray) -> dict[str, object]:
+    """Mitsuba's unbounded colour; its ``rgb`` clamps and is for reflectances."""
+    return {"type": "rgb", "value": [float(x) for x in colour]}
+
+
+def glass(material: Material) -> dict[str, object]:
+    """A dielectric, its outside air."""
+    common = {
+        "int_ior": material.ior,
+        "ext_ior": 1.0,
+        "specular_transmittance": rgb(material.transmission),
+    }
+    if material.thin:
+        return {"type": "thindielectric", **common}
+    if material.roughness <= SMALLEST_ROUGHNESS:
+        return {"type": "dielectric", **common}
+    return {"type": "roughdielectric", "distribution": "ggx", "alpha": material.roughness**2, **common}
+
+
+def lambert(albedo: np.ndarray | dict[str, object]) -> dict[str, object]:
+    """Of an albedo or of a texture of Mitsuba's."""
+    reflectance = albedo if isinstance(albedo, dict) else rgb(albedo)
+    lambert = {"type": "diffuse", "reflectance": reflectance}
+    return {"type": "twosided", "material": lambert}

@@ -11,7 +11,7 @@ from ..sampling.accumulate import Estimate
 from . import tuning
 from .allocate import Allocation
 
-# Points that are worked at together, where more would only take memory.
+# Points that are worked at together: 24 MiB of three channels; more would only take memory.
 POINTS_AT_ONCE = 1 << 20
 # Stands for a ratio of zero, which has no logarithm.
 LEAST_RATIO = 1e-9

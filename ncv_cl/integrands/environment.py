@@ -23,12 +23,15 @@ SUN = Record("SUN", {"direction": 3, "chord": 1, "radiance": 3, "density": 1})
 # Of a row of strips: the environment's part of the square, the image's, where its map begins; then each
 # sun's part.
 SKY_ROW = Record("SKY_ROW", {"share": 1, "image": 1, "map": 1, "suns": 0})
-# Maps' rows: a power of two, as many as the image's if all maps fit. Twice as many columns.
+# Maps' rows: a power of two, as many as the image's if all maps fit. Twice as many columns. All maps
+# take 16 MiB at most, and places in them are numbers below 2^24, which single precision holds exactly.
 FEWEST_ROWS, ENOUGH_ROWS, MOST_ROWS = 64, 128, 512
 MAP_FLOATS_AT_MOST = 1 << 22
-# Of so many normals each has a map of its own; of more, the nearest of 26 directions.
+# Of so many normals each has a map of its own; of more, the nearest of 26 directions (those to a cube's
+# faces, edges and corners), so that there are hardly more maps.
 FEW_NORMALS = 32
-# What maps are told apart by: how far cells' normals are from the direction of the map, at most.
+# What maps are told apart by: how far cells' normals are from the direction of the map, at most:
+# rounding, steps of two, and 2, the farthest that unit vectors are apart.
 SPREADS = (2e-3, 0.25, 0.5, 1.0, 2.0)
 # Parts of the square for the environment where there are lights, too: what is left for these is a power
 # of two, or three quarters, so strips stay on a dyadic grid.
