@@ -7,6 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
+from typing import TextIO
 
 import pyopencl as cl
 
@@ -78,7 +79,15 @@ def one_line(error: BaseException) -> str:
     return text if len(text) <= LONGEST else text[:LONGEST] + " ..."
 
 
-def _show_warning(message: Warning | str, *about: object) -> None:
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """`warnings.showwarning` in one line, without what is about the program."""
     try:
         print(f"ncv-cl: warning: {message}", file=sys.stderr, flush=True)
     except OSError:

@@ -138,16 +138,18 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:
     """`value`, if it is a whole number from `low` to `high`; else ValueError."""
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not is_whole or not low <= value <= high:
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number from {low} to {high}, is {value!r}")
     return int(value)
 
 
 def real_number(name: str, value: object, low: float, high: float) -> float:
     """`value`, if it is a number from `low` to `high` and not NaN; else ValueError."""
-    is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:
+    if (
+        not isinstance(value, (int, float, np.integer, np.floating))
+        or isinstance(value, bool)
+        or not low <= value <= high
+    ):
         raise ValueError(f"{name} must be a number from {low:g} to {high:g}, is {value!r}")
     return float(value)
 
@@ -155,8 +157,11 @@ def real_number(name: str, value: object, low: float, high: float) -> float:
 def some_of(name: str, value: object, known: Iterable[str]) -> tuple[str, ...]:
     """`value` as a tuple, if it is a list of `known` names, each once and in their order."""
     known = tuple(known)
-    is_list = isinstance(value, (list, tuple)) and all(isinstance(one, str) for one in value)
-    if not is_list or [one for one in known if one in value] != list(value):
+    if (
+        not isinstance(value, (list, tuple))
+        or not all(isinstance(one, str) for one in value)
+        or [one for one in known if one in value] != list(value)
+    ):
         raise ValueError(f"{name} must be some of {', '.join(known)}, in this order, is {value!r}")
     return tuple(value)
 
