@@ -112,6 +112,13 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
         raise OSError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def save_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write an ``.npz``, which `read_arrays` reads."""
+    # To numpy's hints an array of any name could be savez's own option.
+    named: dict[str, Any] = dict(arrays)
+    np.savez(file, **named)
+
+
 def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """All arrays of an ``.npz``; none of them holds Python objects.
 
@@ -192,7 +199,7 @@ def array_of(
     return array
 
 
-def json_of(arrays: Mapping[str, np.ndarray], name: str) -> object:
+def json_of(arrays: Mapping[str, np.ndarray], name: str) -> Any:
     """What the text of that name says, as JSON; else ValueError."""
     if name not in arrays:
         raise ValueError(f"there is no array {name!r}")

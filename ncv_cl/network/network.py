@@ -18,6 +18,7 @@ from ..host.files import (
     read_arrays,
     real_number,
     record_of,
+    save_arrays,
     some_of,
     whole_number,
     write_whole,
@@ -233,8 +234,8 @@ class Network:
     def write(self, file: BinaryIO, **companions: np.ndarray) -> None:
         """As `save`, into an open file."""
         text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})
-        arrays = {"parameters": self.parameters, "table": self.table}
-        np.savez(file, about=np.array(text), **arrays, **companions)
+        arrays = {"about": np.array(text), "parameters": self.parameters, "table": self.table}
+        save_arrays(file, arrays | companions)
 
     @classmethod
     def load(cls, path: str | Path) -> Network:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import OpenImageIO as oiio
 
-from .image import Image, error_metrics, png_bytes, show_png
+from .image import Image, error_metrics, float_pixels, png_bytes, show_png
 
 # White in maps of errors, as a percentile: a few fireflies leave the rest visible.
 _WHITE = 99.0
@@ -110,7 +110,7 @@ def flip_map(reference: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
     found = oiio.ImageBufAlgo.FLIP_diff(first, second, hdr=0)
     if found.has_error:
         raise RuntimeError(f"FLIP failed: {found.geterror()}")
-    return found.get_pixels(oiio.FLOAT)[:, :, 0]
+    return float_pixels(found)[:, :, 0]
 
 
 def _pixels(one: Image | np.ndarray) -> np.ndarray:
@@ -129,5 +129,5 @@ def _coloured(values: np.ndarray) -> np.ndarray:
     if mapped.has_error:
         raise RuntimeError(f"colouring failed: {mapped.geterror()}")
     # The map's colours are for the screen: as linear light they look the same there.
-    srgb = mapped.get_pixels(oiio.FLOAT)[:, :, :3]
+    srgb = float_pixels(mapped)[:, :, :3]
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

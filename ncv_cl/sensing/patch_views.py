@@ -39,12 +39,11 @@ def measured(
     executor: Executor | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each scramble's factors, float64 (patches, patches, SCRAMBLES), and `ViewFactors.how`."""
-    places = [
-        patch_points(device, side, points, range(k * SCRAMBLES, (k + 1) * SCRAMBLES), seed)
-        if wanted[k].any()
-        else None
+    places = {
+        k: patch_points(device, side, points, range(k * SCRAMBLES, (k + 1) * SCRAMBLES), seed)
         for k, side in enumerate(sides)
-    ]
+        if wanted[k].any()
+    }
     means = np.full((*wanted.shape, SCRAMBLES), np.nan)
     how = np.where(wanted, RECIPROCAL, EXACT)
     # Lines do not pass the holes of textures.

@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser, group: type[Any]) -> None:
             own.add_argument(flag, default=option.default, **form, help=about)
 
 
-def read_arguments(options: argparse.Namespace, group: type[Any]) -> dict[str, object]:
+def read_arguments(options: argparse.Namespace, group: type[Any]) -> dict[str, Any]:
     """The options of a group that `add_arguments` has put into a command line."""
     names = [option.name for option in dataclasses.fields(group)]
     return {name: getattr(options, name) for name in names if hasattr(options, name)}
