@@ -15,6 +15,7 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass, field
+from typing import Any
 
 from .processes import Processes
 from .values import CannotTravel, Values, pickled
@@ -48,7 +49,7 @@ class Job:
     name: str
     function: Callable[..., object]
     keys: tuple[str, ...]
-    arguments: tuple[object, ...]
+    arguments: tuple[Any, ...]
     tries: int = 0
     said: str = ""
     given: dict[str, bytes] = field(default_factory=dict)

@@ -276,11 +276,11 @@ class Network:
         lower, largest = cube["lower"], float(np.finfo(np.float32).max)
         if not isinstance(lower, list) or len(lower) != 3:
             raise ValueError(f"the cube's lower corner must be three numbers, is {lower!r}")
-        corner = tuple(real_number("the cube's corner", one, -largest, largest) for one in lower)
+        x, y, z = (real_number("the cube's corner", one, -largest, largest) for one in lower)
         side = real_number("the cube's side", cube["side"], float(np.finfo(np.float32).tiny), largest)
         return cls(
             description,
             array_of(arrays, "parameters", np.float32, (description.parameter_count,)),
             array_of(arrays, "table", np.float32, description.encoding.table_shape),
-            GridCube(corner, side),
+            GridCube((x, y, z), side),
         )

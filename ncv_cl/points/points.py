@@ -221,7 +221,8 @@ def find_points(
     active = len(hit) if every else int(np.count_nonzero(light < 0))
     cell = (hit + cells.start).astype(np.uint32)
     # Large images: only what is needed is kept.
-    hits = (hits.triangle[hit], hits.u[hit], hits.v[hit])
+    triangle, u, v = hits.triangle[hit], hits.u[hit], hits.v[hit]
+    del hits
     background = len(cells) - len(cell)
 
     surface = HostArray(device, (SURFACE.size, len(cell)), np.float32)
@@ -232,9 +233,9 @@ def find_points(
         rows=rows,
         total_points=len(cell),
         cells=HostArray.of(device, cell),
-        hit_triangle=HostArray.of(device, hits[0].astype(np.uint32)),
-        hit_u=HostArray.of(device, hits[1]),
-        hit_v=HostArray.of(device, hits[2]),
+        hit_triangle=HostArray.of(device, triangle.astype(np.uint32)),
+        hit_u=HostArray.of(device, u),
+        hit_v=HostArray.of(device, v),
         vertices=HostArray.of(device, scene.vertices),
         vertex_normals=HostArray.of(device, scene.vertex_normals),
         triangles=HostArray.of(device, scene.triangles),
@@ -243,22 +244,24 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
-    emission_factor = _vary(surface, scene, *hits) if varies(scene) else None
-    material = scene.triangle_material[hits[0]]
+    emission_factor = _vary(surface, scene, triangle, u, v) if varies(scene) else None
+    material = scene.triangle_material[triangle]
     return ShadingPoints(
         surface, cell, light, active, background, 0, material, scene.origin, emission_factor
     )
 
 
-def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> np.ndarray:
+def _vary(
+    surface: HostArray, scene: Scene, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
     """Put in what textures and colours of vertices make of hits, as `surface_at` takes them.
 
     Returns `ShadingPoints.emission_factor`.
     """
-    factor = vary_colours(surface, surface_at(scene, *hits))
+    factor = vary_colours(surface, surface_at(scene, triangle, u, v))
     with surface.mapped(update=True) as rows:
         normal, outgoing = (rows[SURFACE[name]].T for name in ("normal", "outgoing"))
-        rows[SURFACE["normal"]] = bent_normals(scene, *hits, normal, outgoing).T
+        rows[SURFACE["normal"]] = bent_normals(scene, triangle, u, v, normal, outgoing).T
     return factor
 
 

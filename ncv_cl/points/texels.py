@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.uv_mesh import checked_mesh
+from ..scene.uv_mesh import TrianglesOnMap, checked_mesh
 
 # Pairs of a triangle and a place on the map that are looked at together.
 PAIRS_AT_ONCE = 1 << 20
@@ -41,7 +41,7 @@ class Texels:
     counts: dict[str, int]
 
 
-def find_texels(mesh: object, size: tuple[int, int], samples: int) -> Texels:
+def find_texels(mesh: TrianglesOnMap, size: tuple[int, int], samples: int) -> Texels:
     """The places of a map of `size`, width and height, that lie on the mesh.
 
     Where no place of a texel is on a triangle that covers some of it, its middle is moved to the nearest

@@ -50,7 +50,7 @@ def measured(
     along = np.array([_has_lines(side) and not scene.has_holes for side in sides], bool)
     for target in np.flatnonzero(along & wanted.any(axis=0)):
         sources = np.flatnonzero(wanted[:, target])
-        chosen = [places[k] for k in sources]
+        chosen = [places[int(k)] for k in sources]
         means[sources, target] = _along_lines(
             device, scene, sides[target], chosen, lines, seed, executor
         )
@@ -59,7 +59,7 @@ def measured(
         rest = np.flatnonzero(~along & wanted[source])
         if len(rest):
             own, targets = sides[source], [sides[k] for k in rest]
-            means[source, rest] = _by_rays(device, scene, own, places[source], targets, lines, seed)
+            means[source, rest] = _by_rays(device, scene, own, places[int(source)], targets, lines, seed)
             how[source, rest] = RAYS
     return means, how
 
