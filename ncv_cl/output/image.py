@@ -94,13 +94,11 @@ class Image:
         """
         path = Path(path)
         check_output_path(path)
-        names: tuple[str, ...] = _RGB
-        attributes: Metadata = {"oiio:ColorSpace": "srgb"}
-        if path.suffix.lower() == ".png":
-            data = _tone_map(self.pixels)
-        else:
+        if path.suffix.lower() == ".exr":
             names, data = self._channels()
             attributes = _exr_attributes(self.metadata)
+        else:
+            names, data, attributes = _RGB, _tone_map(self.pixels), {"oiio:ColorSpace": "srgb"}
         # A folder, not a file of tempfile's: the image then gets the permissions of the umask.
         with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
             complete = Path(folder) / path.name
@@ -324,16 +322,14 @@ def _tone_map(pixels: np.ndarray) -> np.ndarray:
     converted = oiio.ImageBufAlgo.colorconvert(
         oiio.ImageBuf(clamped), _LINEAR, _SRGB, colorconfig=_COLOR_CONFIG
     )
-    if converted.has_error:
-        raise RuntimeError(f"sRGB conversion failed: {converted.geterror()}")
-    return float_pixels(converted)
+    return float_pixels(converted, "sRGB conversion")
 
 
-def float_pixels(image: oiio.ImageBuf) -> np.ndarray:
-    """The pixels of one of OpenImageIO's images, float32 (height, width, channels)."""
-    found = image.get_pixels(oiio.FLOAT)
+def float_pixels(image: oiio.ImageBuf, what: str) -> np.ndarray:
+    """What OpenImageIO has made, float32 (height, width, channels); an error says that `what` failed."""
+    found = None if image.has_error else image.get_pixels(oiio.FLOAT)
     if found is None:
-        raise RuntimeError(f"no pixels: {image.geterror()}")
+        raise RuntimeError(f"{what} failed: {image.geterror()}")
     return found
 
 
