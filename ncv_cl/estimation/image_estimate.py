@@ -187,7 +187,9 @@ class ImageEstimate:
             self.parts = [*self.parts, *(before.copy() for _ in wanted)][-2:]
         return wanted
 
-    def keep_tile(self, points: range, states: list[tuple], means: list[np.ndarray]) -> None:
+    def keep_tile(
+        self, points: range, states: list[tuple[np.ndarray, np.ndarray]], means: list[np.ndarray]
+    ) -> None:
         """Take what has come of some points: what `Accumulator.take` takes, and the means wanted."""
         own = slice(points.start, points.stop)
         for accumulator, state in zip(self.accumulators, states, strict=True):

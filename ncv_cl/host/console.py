@@ -7,7 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
-from typing import TextIO
+from typing import Any, TextIO
 
 import pyopencl as cl
 
@@ -94,7 +94,7 @@ def _show_warning(
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
-def summary(stats: dict) -> str:
+def summary(stats: dict[str, Any]) -> str:
     """A render's statistics as a short table."""
     lines = [f"device   {stats['device']}"]
     lines += [f"{stage:<10}{seconds:>9.3f} s" for stage, seconds in stats["seconds"].items()]
@@ -131,7 +131,7 @@ def summary(stats: dict) -> str:
     return "\n".join(lines)
 
 
-def point_summary(stats: dict) -> str:
+def point_summary(stats: dict[str, Any]) -> str:
     """Statistics of values at points, in a few lines."""
     if not stats["points"]:
         return "no points"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Kernel
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -273,7 +274,15 @@ def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
     return found.emission_factor.astype(np.float32)
 
 
-def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int, cells: range) -> Hits:
+def _trace_camera(
+    device: Device,
+    tracer: Tracer,
+    camera_rays: Kernel,
+    camera: HostArray,
+    columns: int,
+    rows: int,
+    cells: range,
+) -> Hits:
     batch = min(CAMERA_RAYS_PER_BATCH, len(cells))
     origins = HostArray(device, (batch, 3), np.float32)
     directions = HostArray(device, (batch, 3), np.float32)

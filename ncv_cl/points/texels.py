@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,7 +126,9 @@ def _inside(corners: np.ndarray, grid: tuple[int, int]) -> tuple[np.ndarray, int
     return owner, int(np.count_nonzero(depth > 1))
 
 
-def _candidates(corners: np.ndarray, grid: tuple[int, int], slack: float):
+def _candidates(
+    corners: np.ndarray, grid: tuple[int, int], slack: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Pairs of triangles and cells whose boxes meet, in parts: triangle, column, row, int64 (pairs,)."""
     limit = np.array(grid) - 1
     first = np.clip(np.floor(corners.min(axis=1) - 0.5 - slack), 0, limit).astype(np.int64)
