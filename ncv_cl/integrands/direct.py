@@ -79,8 +79,8 @@ class DirectLight(Integrand):
                 below |= side @ position[:, dark] <= side @ lights.corner[light]
             dark = dark[below]
         if has_environment(scene):
-            below = [environment_dark(scene, normal[:, dark]) for normal in normals]
-            dark = dark[below[0] | below[1]]
+            unlit = [environment_dark(scene, normal[:, dark]) for normal in normals]
+            dark = dark[unlit[0] | unlit[1]]
         return np.isin(np.arange(position.shape[1]), dark)
 
     def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
@@ -124,7 +124,7 @@ class DirectPart(DirectLight):
     _part = True
 
 
-def scattering_defines(scene: Scene) -> dict[str, int]:
+def scattering_defines(scene: Scene) -> dict[str, int | str]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
     return {
         "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),

@@ -6,9 +6,11 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..host.files import some_of, whole_number
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import INPUTS, ShadingPoints, surface_defines
@@ -140,7 +142,7 @@ class GridCube:
         seen = cls.around(most)
         return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
 
-    def about(self, origin: np.ndarray) -> dict[str, float]:
+    def about(self, origin: np.ndarray) -> Arguments:
         """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
         x, y, z = (np.asarray(self.lower) - origin).tolist()
         return {"lower_x": x, "lower_y": y, "lower_z": z, "inverse_side": 1.0 / self.side}
@@ -308,8 +310,10 @@ def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # Entry and number in one word, a short one if they fit: sorting plain words is many times faster
     # than finding an order.
     bits = (corner.size - 1).bit_length()
-    word = np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
-    keys = corner.astype(word).ravel()
+    word: type[np.unsignedinteger] = (
+        np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
+    )
+    keys: NDArray[np.unsignedinteger] = corner.astype(word).ravel()
     keys <<= word(bits)
     keys |= np.arange(keys.size, dtype=word)
     keys.sort()

@@ -118,8 +118,9 @@ class Device:
     vector_width: int = 1
     lanes: int = 1
     use_fma: bool = True
-    _context: cl.Context = field(repr=False, default=None)
-    _queue: cl.CommandQueue = field(repr=False, default=None)
+    # A device that is only listed needs neither; whoever asks for one has opened it.
+    _context: cl.Context = field(repr=False, default=None)  # type: ignore[assignment]
+    _queue: cl.CommandQueue = field(repr=False, default=None)  # type: ignore[assignment]
 
     @property
     def context(self) -> cl.Context:

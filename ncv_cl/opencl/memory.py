@@ -53,7 +53,8 @@ class HostArray:
             return
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
         if update:
-            flags = cl.map_flags.READ | cl.map_flags.WRITE
+            # Flags add up, which pyopencl's hints leave out.
+            flags = cl.map_flags.READ | cl.map_flags.WRITE  # type: ignore[assignment]
         view, _ = cl.enqueue_map_buffer(
             self.device.queue, self.buffer, flags, 0, shape, self.dtype, is_blocking=True
         )

@@ -133,7 +133,7 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
     if given is not None:
         given.network.check_fits(settings.integrand.channels, problem.inputs)
         if given.guide is not None and settings.guides:
-            problem.source.use_guide(given.guide)
+            problem.paths.use_guide(given.guide)
         return Before(given, guide=given.guide)
     learned = learn(problem, settings, run)
     trained = None
@@ -146,7 +146,7 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
     """The same from a checkpoint."""
     resumed.check_arrays(settings.integrand.channels, problem.points.active, settings.needs_magnitude)
     if resumed.guide is not None:
-        problem.source.use_guide(resumed.guide)
+        problem.paths.use_guide(resumed.guide)
     trained = None
     if resumed.network is not None:
         trained = Trained(resumed.network, resumed.density_network, resumed.alpha)
@@ -194,7 +194,8 @@ def _drawn(
     image_estimate = begin(problem, settings, run, variate, allocation, done)
     if resumed is not None:
         resumed.image.give_back(image_estimate)
-    share = variate.density.uniform_share if variate and image_estimate.follows_density else 1.0
+    density = variate.density if variate and image_estimate.follows_density else None
+    share = 1.0 if density is None else density.uniform_share
     target = ErrorTarget(settings.stopping.target_mse, problem.narrowest, share)
 
     def after_pass() -> None:
