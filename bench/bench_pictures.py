@@ -41,7 +41,7 @@ class Plan:
 
 
 # The full run shares the references of the curves.
-PLANS = {False: Plan(FULL.size, 1024, FULL.reference_spp), True: Plan(96, 16, 2048)}
+PLANS = {False: Plan(FULL.size, 256, FULL.reference_spp), True: Plan(64, 16, 1024)}
 
 
 def run(device: Device, plan: Plan, cases: list[tuple[str, str]], folder: Path) -> dict:
