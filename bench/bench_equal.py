@@ -6,9 +6,9 @@ short render tells), Sobol points, and Sobol points with samples allocated by a 
 
 Mean square errors are halved squared differences of two renders with different seeds: no reference is
 needed, and none can be the worse of the two. Relative ones are over the square of the pixel's value,
-with a floor (`references.relative_weight`): dark pixels count as much as bright ones. Seconds are the lesser
-of the two renders'. Before anything is timed, plain Monte Carlo and the control variate are tested to
-agree.
+with a floor (`references.relative_weight`): dark pixels count as much as bright ones. Seconds are the
+lesser of the two renders'. Before anything is timed, plain Monte Carlo and the control variate are
+tested to agree.
 """
 
 from __future__ import annotations

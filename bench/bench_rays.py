@@ -25,7 +25,7 @@ from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.wave import HEADER, PLANES, Wave
+from ncv_cl.sampling.wave import HEADER, HOST_PLANES, PLANES, Wave
 from ncv_cl.scene.load import Scene, load_scene
 from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.rays import RayCount, shadow_rays
@@ -74,7 +74,8 @@ def by_kernels(
     def first_hits() -> None:
         with wave.words.mapped(update=True) as words:
             words[:1].view(np.uint32)[0] = count
-            planes = words[HEADER : HEADER + PLANES.size * wave.plane].reshape(PLANES.size, wave.plane)
+            host = words[HEADER : HEADER + HOST_PLANES * wave.plane]
+            planes = host.reshape(HOST_PLANES, wave.plane)
             planes[PLANES["origin"], :count] = origins.T
             planes[PLANES["direction"], :count] = directions.T
         wave.trace(tracer)
