@@ -4,7 +4,7 @@ Sensors are even over all surfaces but the lights. Errors are against many lines
 Radiance's rtrace fall with `-ds`, the size of the parts that it cuts lights into. It is run if
 `pyradiance` is installed.
 
-    python bench/bench_sensors.py [--sensors 100000] [--reference 16384] [--quick] [--json FILE]
+    python bench/bench_sensors.py [--sensors 100000] [--reference 8192] [--quick] [--json FILE]
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def report(name: str, work: tuple[np.ndarray, float, float], reference: np.ndarr
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sensors", type=int, default=100_000)
-    parser.add_argument("--reference", type=int, default=16_384, help="lines a sensor")
+    parser.add_argument("--reference", type=int, default=8192, help="lines a sensor")
     parser.add_argument("--quick", action="store_true", help="few sensors")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     options = parser.parse_args()

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 # Of a figure, in units of which 420 are a phone's width.
-WIDTH, ROW, LABEL, VALUE = 420, 17, 168, 46
+WIDTH, ROW, LABEL, VALUE = 420, 17, 172, 54
 PLOT_HEIGHT, MARGIN = 250, (46, 30)
 COLOURS = (
     # The series on light ground, and on dark.
@@ -40,7 +40,11 @@ def standalone(svg: str) -> str:
 
 
 def bars(
-    rows: Sequence[tuple[str, float, int]], note: str, mark: float | None = None, log: bool = True
+    rows: Sequence[tuple[str, float, int]],
+    note: str,
+    mark: float | None = None,
+    log: bool = True,
+    series: Sequence[str] = (),
 ) -> str:
     """Horizontal bars.
 
@@ -52,6 +56,8 @@ def bars(
         What is shown, and in which unit.
     mark : float, optional
         Where bars begin, to either side: 1 for ratios.
+    series : sequence of str
+        What the series are called, if there are several.
     """
     values = [value for _, value, _ in rows]
     scale = math.log10 if log else float
@@ -65,19 +71,21 @@ def bars(
     def across(value: float) -> float:
         return LABEL + room * (scale(value) - start) / span
 
-    height = ROW * len(rows) + 26
-    parts = [_text(4, 13, note)]
+    legend, first = _legend(series, 26)
+    start_y = first - 4
+    height = ROW * len(rows) + start_y + 4
+    parts = [_text(4, 13, note), *legend]
     base = across(mark) if mark is not None else LABEL
-    for k, (label, value, series) in enumerate(rows):
-        top, end = 22 + ROW * k, across(value)
+    for k, (label, value, number) in enumerate(rows):
+        top, end = start_y + ROW * k, across(value)
         left, width = min(base, end), max(abs(end - base), 1.0)
         parts.append(_text(LABEL - 5, top + 12, label, "end"))
         parts.append(
-            f'<rect class="s{series}" x="{left:.1f}" y="{top + 2}" width="{width:.1f}" height="12"/>'
+            f'<rect class="s{number}" x="{left:.1f}" y="{top + 2}" width="{width:.1f}" height="12"/>'
         )
         parts.append(_text(max(left + width, base) + 4, top + 12, brief(value)))
     if mark is not None:
-        parts.append(f'<path class="grid" d="M{base:.1f} 20V{height - 2}"/>')
+        parts.append(f'<path class="grid" d="M{base:.1f} {start_y - 2}V{height - 2}"/>')
     return _svg(height, parts, note)
 
 
@@ -85,13 +93,12 @@ def lines(series: Mapping[str, Sequence[tuple[float, float]]], x_name: str, y_na
     """Lines over logarithmic axes; points that are not positive are left out."""
     kept = {name: [(x, y) for x, y in points if x > 0 and y > 0] for name, points in series.items()}
     points = [point for own in kept.values() for point in own]
-    columns = 3
-    legend = 14 * -(-len(kept) // columns)
-    (left, below), top = MARGIN, 24 + legend
+    legend, first = _legend(list(kept), 26)
+    (left, below), top = MARGIN, first
     height = top + PLOT_HEIGHT + below
     x_axis = _Axis([x for x, _ in points], left, WIDTH - 12)
     y_axis = _Axis([y for _, y in points], top + PLOT_HEIGHT, top)
-    parts = [_text(4, 13, f"{y_name} against {x_name}")]
+    parts = [_text(4, 13, f"{y_name} against {x_name}"), *legend]
     for value in x_axis.ticks:
         at = x_axis.at(value)
         parts.append(f'<path class="grid" d="M{at:.1f} {top}V{top + PLOT_HEIGHT}"/>')
@@ -100,13 +107,8 @@ def lines(series: Mapping[str, Sequence[tuple[float, float]]], x_name: str, y_na
         at = y_axis.at(value)
         parts.append(f'<path class="grid" d="M{left} {at:.1f}H{WIDTH - 12}"/>')
         parts.append(_text(left - 4, at + 4, brief(value), "end"))
-    for k, (name, own) in enumerate(kept.items()):
+    for k, own in enumerate(kept.values()):
         number = k % len(COLOURS)
-        corner = 8 + (k % columns) * (WIDTH - 16) // columns, 26 + 14 * (k // columns)
-        parts.append(
-            f'<rect class="s{number}" x="{corner[0]}" y="{corner[1] - 7}" width="10" height="4"/>'
-        )
-        parts.append(_text(corner[0] + 14, corner[1], name))
         path = "L".join(f"{x_axis.at(x):.1f} {y_axis.at(y):.1f}" for x, y in own)
         if path:
             parts.append(f'<path class="line s{number}" style="fill:none" d="M{path}"/>')
@@ -115,6 +117,18 @@ def lines(series: Mapping[str, Sequence[tuple[float, float]]], x_name: str, y_na
             for x, y in own
         ]
     return _svg(height, parts, f"{y_name} against {x_name}")
+
+
+def _legend(series: Sequence[str], top: float) -> tuple[list[str], float]:
+    """Names of series with their colours, below `top`; and where they end."""
+    # As many beside each other as the longest leaves room for.
+    columns = max(1, min(3, int((WIDTH - 8) / (6.2 * max(map(len, series), default=1) + 22))))
+    parts = []
+    for k, name in enumerate(series):
+        x, y = 6 + (k % columns) * (WIDTH - 8) // columns, top + 4 + 14 * (k // columns)
+        parts.append(f'<rect class="s{k % len(COLOURS)}" x="{x}" y="{y - 7}" width="10" height="6"/>')
+        parts.append(_text(x + 14, y, name))
+    return parts, top + 14 * -(-len(series) // columns)
 
 
 class _Axis:

@@ -66,11 +66,15 @@ def wins(pairs: Sequence[tuple[str, float]]) -> str:
 
 
 def ratio_figure(
-    name: str, rows: Sequence[tuple[str, float, int]], note: str, caption: str
+    name: str,
+    rows: Sequence[tuple[str, float, int]],
+    note: str,
+    caption: str,
+    series: Sequence[str] = (),
 ) -> Figure | None:
     """Bars to either side of 1."""
     kept = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
-    return Figure(name, svg.bars(kept, note, 1.0), caption) if kept else None
+    return Figure(name, svg.bars(kept, note, 1.0, series=series), caption) if kept else None
 
 
 def error_figures(cases: Sequence[dict], error: str, called: str) -> list[Figure]:

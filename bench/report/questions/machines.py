@@ -22,6 +22,9 @@ HOT = (
     "squared_residuals",
 )
 
+# Who traces.
+BY = ("embree", "kernels")
+
 
 def sensors(found: Results) -> Answer:
     """Irradiance at points of the user, and maps."""
@@ -85,8 +88,8 @@ def workers(found: Results) -> Answer:
         for name, took in data["seconds"].items()
         for kind, one in took.items()
     ]
-    drawn = svg.bars(rows, "seconds", log=False)
-    answer.figure = Figure("workers", drawn, "Seconds of a processor (first colour) and of the clock.")
+    drawn = svg.bars(rows, "seconds", log=False, series=("processor", "clock"))
+    answer.figure = Figure("workers", drawn, "Seconds, all processes together.")
     answer.table = Table(
         ["", "processor", "clock"],
         [[n, t["processor"], t["clock"]] for n, t in data["seconds"].items()],
@@ -218,8 +221,8 @@ def rays(found: Results) -> Answer:
         bars = [
             (f"{row['scene']}, {row['by']}"[:34], row["first_hits"], int(row in others)) for row in rows
         ]
-        drawn = svg.bars(bars, "million first hits a second of one core", log=False)
-        answer.figure = Figure("rays", drawn, "First colour: embree; second: kernels.")
+        drawn = svg.bars(bars, "million first hits a second of one core", log=False, series=BY)
+        answer.figure = Figure("rays", drawn, "Rays that leave what the camera sees; more are better.")
         answer.table = records(rows, "Million rays a second of one core")
     for scene, case in found.get("gi", {}).get("cases", {}).items():
         speed = case["throughput"]

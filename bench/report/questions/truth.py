@@ -83,7 +83,9 @@ def picture(found: Results) -> Answer:
     )
     bars = [(name[:30], 100 * max(size, 1e-6), 0 if agrees else 1) for name, size, agrees in pairs]
     answer.figure = Figure(
-        "picture", svg.bars(bars, "difference in %"), "Differences of means; the first colour agrees."
+        "picture",
+        svg.bars(bars, "difference in %", series=("agrees", "does not")),
+        "Differences of means over all pixels or points.",
     )
     answer.table = Table(["image, peer", "difference", "agrees"], [list(p) for p in pairs], "Means")
     answer.more += _speeds(found, rows)
