@@ -5,7 +5,7 @@ root mean square error against a picture of 12 × 12 points a pixel by the same 
 is noise, by the picture's own variance. Errors are those of display values, (x / (1 + x))^(1 / 2.2), so
 that no lamp counts for more than its edge shows.
 
-    python bench/bench_filters.py [--size 96 72] [--spp 64] [--quick] [--json FILE]
+    python bench/bench_filters.py [--size 64 48] [--spp 64] [--quick] [--json FILE]
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def measure(scene: str, integrand: str, size: tuple[int, int], spp: int) -> list
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, nargs=2, default=(96, 72))
+    parser.add_argument("--size", type=int, nargs=2, default=(64, 48))
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--quick", action="store_true", help="one scene, small")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")

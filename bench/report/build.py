@@ -45,6 +45,10 @@ def build_report(folder: Path) -> list[Path]:
             missing[part] = _why(record["runs"].get(part, {}), why)
         else:
             found[part] = data
+    if "device" in found:
+        # Results of other devices, kept beside those of this one.
+        others = {file.stem: _read(file)[0] for file in sorted(folder.glob("device_*.json"))}
+        found["device"]["others"] = {name: one for name, one in others.items() if one}
     sections = [_section(question, found, missing, record["runs"]) for question in QUESTIONS]
     sections += [_machine(record), _left_out(found, missing)]
     files = [folder / "report.html", folder / "report.md"]

@@ -113,7 +113,7 @@ def gpu(found: Results) -> Answer:
             f"For an H100 the compilers keep {span([shares[n] for n in hot])} % of the warps resident "
             f"in the kernels that take the time, and {len(spilt)} of {len(rows)} kernels spill registers"
             + (f" ({named(spilt)})" if spilt else "")
-            + "; no GPU has been timed in this table."
+            + "; a table of compilers, not of a clock."
         )
         bars = [(name, shares[name], 0 if shares[name] >= 25 else 1) for name in hot]
         drawn = svg.bars(bars, "occupancy in %, sm_90", log=False)
@@ -137,6 +137,14 @@ def gpu(found: Results) -> Answer:
             "against their references pass" + (f"; {named(failed)} fail." if failed else ".")
         )
         answer.details.append(records(device["checks"], "Checks on this device"))
+    for name, other in (device or {}).get("others", {}).items():
+        answer.more.append(f"Of {other.get('device', '?')} there is {name}.json.")
+        rows = [
+            {key: one for key, one in row.items() if key != "seconds"}
+            | {"seconds": row["seconds"].get("total")}
+            for row in other.get("stages", [])
+        ]
+        answer.details.append(records(rows, f"Renders on {other.get('device', '?')}"))
     return answer
 
 

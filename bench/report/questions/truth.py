@@ -62,15 +62,14 @@ def picture(found: Results) -> Answer:
         for row in found.get("mitsuba", {}).get("agreement", [])
         if "agrees" in row
     ]
-    rows = [row for row in found.get("peers", {}).get("rows", []) if row.get("ratio")]
-    seen = {name for name, _, _ in pairs}
+    every = found.get("peers", {}).get("rows", [])
+    rows = [row for row in every if row.get("ratio") and np.isfinite(row["ratio"])]
     for row in rows:
         off = abs(row["ratio"] - 1)
         # The standard error is the ratio's own.
         allowed = max(SHARE, DEVIATIONS * (row["standard_error"] or 0.0))
         name = f"{row['scene']} {row['quantity']}, {row['peer']}"
-        if name not in seen:
-            pairs.append((name, off, off <= allowed))
+        pairs.append((name, off, off <= allowed))
     if not pairs:
         return Answer("No other program was at hand.")
     off = [name for name, _, agrees in pairs if not agrees]
@@ -81,7 +80,7 @@ def picture(found: Results) -> Answer:
         f"difference of means is {shown(100 * largest[1])} % ({largest[0]})"
         + (f"; not in agreement: {named(off)}." if off else ".")
     )
-    bars = [(name[:30], 100 * max(size, 1e-6), 0 if agrees else 1) for name, size, agrees in pairs]
+    bars = [(_short(name), 100 * max(size, 1e-6), 0 if agrees else 1) for name, size, agrees in pairs]
     answer.figure = Figure(
         "picture",
         svg.bars(bars, "difference in %", series=("agrees", "does not")),
@@ -104,9 +103,20 @@ def picture(found: Results) -> Answer:
         for row in found.get("mitsuba", {}).get("agreement", [])
         if "skipped" in row
     ]
+    answer.more += [
+        f"{row['scene']} was not compared with {row['peer']}: {row['note']}."
+        for row in every
+        if row not in rows
+    ]
     if rows:
         answer.details.append(records(rows, "Other programs"))
     return answer
+
+
+def _short(name: str) -> str:
+    """A comparison's name as a bar has room for it."""
+    first, peer = name.rsplit(", ", 1)
+    return f"{first[:16].strip()}, {peer}"[:29]
 
 
 def _speeds(found: Results, rows: list[dict]) -> list[str]:
