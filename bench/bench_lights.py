@@ -27,7 +27,7 @@ from ncv_cl.opencl.device import Device
 from ncv_cl.scene.load import Scene
 
 # Quick: pixels a side, samples, most lamps; and in full.
-QUICK, FULL = (16, 16, 9), (48, 64, 1000)
+QUICK, FULL = (16, 64, 9), (48, 64, 1000)
 SHIPPED = ("cornell_box", "interior", "occluders")
 LAMPS = (1, 2, 8, 9, 100, 1000)
 HALL = """

@@ -164,9 +164,11 @@ def whole(found: Results) -> Answer:
 
 def lights(found: Results) -> Answer:
     """Cost to an error by the number of lights."""
-    halls = [r for r in found.get("lights", {}).get("rows", []) if r["scene"].startswith("hall")]
+    rows = found.get("lights", {}).get("rows", [])
+    # Differences of very short times may come out negative.
+    halls = [row for row in rows if row["scene"].startswith("hall") and row["ns"] > 0]
     answer = Answer("The halls were not measured.")
-    if len(halls) > 1:
+    if len({row["lights"] for row in halls if row["integrand"] == "direct"}) > 1:
         series = {
             kind: [(r["lights"], r["variance"] * r["ns"]) for r in halls if r["integrand"] == kind]
             for kind in ("direct", "gi")
@@ -188,7 +190,7 @@ def lights(found: Results) -> Answer:
             f"one of {direct[0]['triangles']} does, and {shown(direct[-1]['ready'])} s before."
         )
         answer.details.append(records(mesh, "A sphere that emits"))
-    shipped = [r for r in found.get("lights", {}).get("rows", []) if r not in halls]
+    shipped = [row for row in rows if not row["scene"].startswith("hall")]
     if shipped:
         answer.details.append(records(shipped, "Shipped scenes"))
     return answer
