@@ -163,7 +163,7 @@ def test_what_is_missing_is_named(built):
         "19 to 22 % of the warps resident",
         "1 of 2 kernels spill registers (integrate)",
         "processor time of shadow rays is 3.5 times theirs",
-        "128 × 128 points by the control variate takes 1.28 GB, within its limit",
+        "128 × 128 points by the control variate takes 1.28 GB, within the 6 GB that",
     ],
 )
 def test_sentences_are_made_of_the_numbers(built, said):

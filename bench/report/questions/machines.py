@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bench_scaling import LARGEST_BYTES
+
 from .. import svg
 from ..document import Answer, Figure, Table
 from .common import Question, Results, named, records, shown, span
@@ -155,7 +157,8 @@ def memory(found: Results) -> Answer:
     fits = "within" if data["largest_fits"] else "beyond"
     answer = Answer(
         f"A render of {rows[-1]['size']} × {rows[-1]['size']} points by the control variate takes "
-        f"{shown(data['largest_bytes'] / 1e9)} GB, {fits} its limit; one of {rows[0]['size']} × "
+        f"{shown(data['largest_bytes'] / 1e9)} GB, {fits} the {LARGEST_BYTES / 1e9:.0f} GB that "
+        f"it may take; one of {rows[0]['size']} × "
         f"{rows[0]['size']} takes {shown(rows[0]['bytes']['whole'] / 1e9)} GB."
     )
     series = {"whole process": [(row["size"] ** 2, row["bytes"]["whole"] / 1e9) for row in rows]}
