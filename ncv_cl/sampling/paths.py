@@ -28,14 +28,25 @@ from .samples import LONGEST_RUN, NO_RAY, Batch, SampleSource, ray_defines
 from .share import Entries, share_defines
 from .triangles import triangle_records
 from .warp import Warp, warp_defines
-from .wave import Wave, wave_defines
+from .wave import Wave, items_for, wave_defines
 
 # Places of a batch at most: paths.cl finds a place's point by a product of floats, exactly below this.
 MOST_PLACES = 1 << 22
+# Waves of a batch where the host does not know how many rays are left: what these leave, work-items
+# follow to their ends, each its own. In interior a hundredth of all rays is behind them
+# (tests/test_waits.py prints where rays are).
+WAVES = 8
 # A depth that no path reaches.
 EVERY_DEPTH = 1 << 30
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
 RADIANCE_FLOATS = 4
+
+
+def knows_counts(device: Device) -> bool:
+    """Whether a device's counts are at hand, as where it is the host: asking then costs nothing.
+    Elsewhere a device would idle until the answer is there, and then the next kernels.
+    """
+    return device.is_cpu
 
 
 def sample_source(
@@ -102,6 +113,8 @@ class PathSource(SampleSource):
             "textures", "warp", "guide", "shadow", "closest", "batch", "wave", "vertex", "place",
             "share", "paths",
         )  # fmt: skip
+        self._totals = _zeros(device, 1, np.uint64)
+        self._totals_used = False
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -162,10 +175,19 @@ class PathSource(SampleSource):
             "ROULETTE_SCALE": f"{scale!r}f",
         }
         self._paths = self._program_of(1)
+        # What paths find is recorded on the host.
+        ahead = isinstance(self._tracer, DeviceTracer) and not knows_counts(self.device)
+        self.runs_ahead = ahead and not recorded
 
     def _program_of(self, members: int, weighted: bool = False) -> Program:
-        sharing = share_defines(members, weighted)
+        sharing = {**share_defines(members, weighted), "FOLLOWED": 0}
         return build(self.device, self._files, {**self._defines, **self._flags, **sharing})
+
+    def _following_program(self) -> Program:
+        """What has follow_paths, which starts behind all that points share."""
+        defines = {**self._tracer.defines(), **share_defines(1, False), "FOLLOWED": 1}
+        files = (*self._files, "trace", "follow")
+        return build(self.device, files, {**self._defines, **self._flags, **defines})
 
     def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, if the residual's samples follow a density of this kind."""
@@ -212,20 +234,13 @@ class PathSource(SampleSource):
         places = len(batch.points) * batch.stride
         if places > MOST_PLACES:
             raise ValueError(f"a batch of paths has {MOST_PLACES} places at most, not {places}: cut it")
-        begun, traced = time.perf_counter(), self.rays.trace_seconds
+        begun, traced = time.perf_counter(), self._rays.trace_seconds
         path_stream = stream if paths is None else paths
         self._begin(batch)
-        bounce, under_way = 1, None
-        self._trace()
-        while self._wave.rays or self._wave.shadows:
-            self._add_lit()
-            if bounce == 2 and self._recorder is not None:
-                under_way = self._under_way()
-            self._shade(batch, bounce, samples.start, path_stream)
-            self._trace()
-            bounce += 1
-        if under_way is not None:
-            self._record(*under_way)
+        if self.runs_ahead:
+            self._run_ahead(batch, samples.start, path_stream)
+        else:
+            self._run(batch, samples.start, path_stream)
         if members > 1:
             self._share(batch, density)
             self._count_seconds(begun, traced)
@@ -245,10 +260,69 @@ class PathSource(SampleSource):
             self._whole_slot, self._whole_visible, batch.weight,
         )  # fmt: skip
 
+    def _run(self, batch: Batch, first_sample: int, stream: int) -> None:
+        """A bounce of all paths after the other, until no rays are left."""
+        bounce, under_way = 1, None
+        self._trace()
+        while self._wave.rays or self._wave.shadows:
+            self._add_lit()
+            if bounce == 2 and self._recorder is not None:
+                under_way = self._under_way()
+            self._shade(batch, bounce, first_sample, stream)
+            self._trace()
+            bounce += 1
+        self._end(self._wave)
+        if under_way is not None:
+            self._record(*under_way)
+
+    def _run_ahead(self, batch: Batch, first_sample: int, stream: int) -> None:
+        """The same without knowing how many rays are left."""
+        paths = self._wave.rays
+        # Rays of the last bounce of all find nothing but lights.
+        last = self._max_depth - 1
+        for bounce in range(1, min(WAVES, last) + 1):
+            self._trace()
+            self._add_lit()
+            self._shade(batch, bounce, first_sample, stream)
+            self._wave.expect(self._branches * paths, self._branches * paths)
+        self._trace(hits=last <= WAVES)
+        self._add_lit()
+        if last > WAVES:
+            wave = self._wave
+            self._following_program().kernel("follow_paths")(
+                items_for(self.device, -(-wave.rays // self.device.vector_width)),
+                bounce=WAVES + 1,
+                **self._common(batch, first_sample, stream),
+                **{n: self._tracer.arguments[n] for n in ("extent", "levels", "boxes")},
+                corners=self._tracer.arguments["triangles"],
+                numbers=self._tracer.numbers,
+                plane=wave.plane,
+                wave=wave.words,
+            )
+        self._end(self._wave)
+
+    def _end(self, wave: Wave) -> None:
+        """Count a wave's rays, and leave it empty."""
+        self._paths.kernel("end_wave")(1, wave=wave.words, rays=self._totals, group=1)
+        self._totals_used = True
+
+    def _collect(self) -> None:
+        super()._collect()
+        if self._totals_used:
+            rays = int(self._totals.read()[0])
+            if self.by_kernels:
+                self._rays.on_device += rays
+            else:
+                self._rays.traced += rays
+            self._totals.fill(0)
+            self._totals_used = False
+
     def _count_seconds(self, begun: float, traced: float) -> None:
         """The seconds of a batch begun then, when rays had been `traced` for so many."""
-        self.device.queue.finish()
-        self.rays.sample_seconds += time.perf_counter() - begun - (self.rays.trace_seconds - traced)
+        if not self.runs_ahead:
+            self.device.queue.finish()
+        traced = self._rays.trace_seconds - traced
+        self._rays.sample_seconds += time.perf_counter() - begun - traced
 
     def _share(self, batch: Batch, density: Warp | None) -> None:
         """What the paths of each group's members found, for all of them."""
@@ -264,25 +338,24 @@ class PathSource(SampleSource):
             "hits": entries.hits,
             "visible": entries.visible,
         }
-        items = common["places"] // (self.members * self.device.vector_width)
+        samples = common["places"] // (self.members * self.device.vector_width)
         wave.make_room(common["places"] * self.members)
         self._paths.kernel("share_rays")(
-            items, **common, casters=self._casters, own_u=batch.u, plane=wave.plane, wave=wave.words
+            samples, **common, casters=self._casters, own_u=batch.u, plane=wave.plane, wave=wave.words
         )
+        wave.expect(0, common["places"] * self.members)
         self._trace()
-        if wave.shadows:
+        if not self.by_kernels:
+            items = items_for(self.device, wave.shadows)
             self._paths.kernel("share_seen")(
-                wave.shadows,
-                count=wave.shadows,
-                plane=wave.plane,
-                wave=wave.words,
-                visible=entries.visible,
+                items, plane=wave.plane, wave=wave.words, visible=entries.visible
             )
+        self._end(wave)
         weights = {}
         if density is not None:
             weights = {"density": density.records(batch.order, batch.points), "own_weight": batch.weight}
         self._paths.kernel("share_paths")(
-            items,
+            samples,
             **common,
             most=self._most,
             radiance=self._radiance,
@@ -297,10 +370,11 @@ class PathSource(SampleSource):
 
     def _begin(self, batch: Batch) -> None:
         """The first rays."""
-        wave = self._wave
-        wave.make_room(len(batch.points) * batch.stride)
+        wave, paths = self._wave, len(batch.points) * batch.stride
+        wave.make_room(paths)
+        wave.expect(paths, 0)
         self._paths.kernel("begin_paths")(
-            len(batch.points) * batch.stride // self.device.vector_width,
+            paths // self.device.vector_width,
             first_point=batch.points.start,
             point_count=len(batch.points),
             total_points=self.points.total,
@@ -334,61 +408,69 @@ class PathSource(SampleSource):
         known = place != NO_RAY
         self._recorder.add(place[known], arrived[:, known], throughput[:, known])
 
-    def _trace(self) -> None:
-        """Closest hits of the rays under way, and which shadow rays reach their lights."""
-        if self.by_kernels:
-            self._wave.count()
-            self.rays.on_device += self._wave.tested
+    def _trace(self, hits: bool = True) -> None:
+        """Closest hits of the rays under way, and which shadow rays reach their lights.
+
+        Where nobody waits, `hits` False leaves the former out.
+        """
+        wave, tracer = self._wave, self._tracer
+        if not (self.by_kernels or isinstance(tracer, DeviceTracer)):
+            self._rays.trace_seconds += wave.trace(tracer)
             return
-        self.rays.trace_seconds += self._wave.trace(self._tracer)
-        self.rays.traced += self._wave.rays + self._wave.shadows
+        if not self.runs_ahead:
+            wave.count()
+        if not self.by_kernels:
+            wave.trace_on_device(tracer, hits)
 
     def _add_lit(self) -> None:
         """Add what shadow rays found visible."""
-        wave = self._wave
-        if wave.shadows:
+        if not self.by_kernels:
+            wave = self._wave
+            items = items_for(self.device, wave.shadows)
             self._paths.kernel("add_lit")(
-                wave.shadows,
-                count=wave.shadows,
-                plane=wave.plane,
-                wave=wave.words,
-                radiance=self._radiance,
+                items, plane=wave.plane, wave=wave.words, radiance=self._radiance
             )
+
+    def _common(self, batch: Batch, first_sample: int, stream: int) -> dict[str, Any]:
+        """What all paths of a batch have in common, as paths.cl has it."""
+        return {
+            "max_depth": self._max_depth,
+            "first_point": batch.points.start,
+            "first_id": self.points.first_id,
+            "first_sample": first_sample,
+            "stride": batch.stride,
+            "inverse_stride": 1.0 / batch.stride,
+            "stream": stream,
+            **self._seed,
+            "places": len(batch.points) * batch.stride,
+            "order": batch.order,
+            "triangles": self._triangles,
+            "textures": self._textures.records,
+            "texels": self._textures.texels,
+            "lights": self._data,
+            "casters": self._casters,
+            "guide_frame": self._frame,
+            "guide": self._guide_densities,
+            "guide_known": self._guide_known,
+            "guide_place": self._place,
+            "hits": self._hits,
+            "radiance": self._radiance,
+        }
 
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
         """From hits to shadow rays and the next rays, which are then the wave."""
         wave, following = self._wave, self._next
         following.make_room(wave.rays * (self._branches if bounce == 1 else 1))
         self._paths.kernel("shade_hits")(
-            -(-wave.rays // self.device.vector_width),
-            count=wave.rays,
-            max_depth=self._max_depth,
+            items_for(self.device, -(-wave.rays // self.device.vector_width)),
             bounce=bounce,
-            first_point=batch.points.start,
-            first_id=self.points.first_id,
-            first_sample=first_sample,
-            stride=batch.stride,
-            inverse_stride=1.0 / batch.stride,
-            stream=stream,
-            **self._seed,
-            places=len(batch.points) * batch.stride,
-            order=batch.order,
-            triangles=self._triangles,
-            textures=self._textures.records,
-            texels=self._textures.texels,
-            lights=self._data,
-            casters=self._casters,
-            guide_frame=self._frame,
-            guide=self._guide_densities,
-            guide_known=self._guide_known,
-            guide_place=self._place,
-            hits=self._hits,
+            **self._common(batch, first_sample, stream),
             plane=wave.plane,
             wave=wave.words,
-            radiance=self._radiance,
             next_plane=following.plane,
             next_wave=following.words,
         )
+        self._end(wave)
         self._wave, self._next = following, wave
 
 

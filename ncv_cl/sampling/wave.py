@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from ..opencl.device import Device
+from ..opencl.device import GROUP_SIZE, Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import build
@@ -16,6 +16,9 @@ from ..visibility.trace import DeviceTracer
 
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
+# Groups of a kernel over a wave that a GPU's compute unit has at once: with these it holds 2048
+# work-items, as many as any does.
+GROUPS_A_UNIT = 2048 // GROUP_SIZE
 # What is kept of a ray that goes on and of a shadow ray, a plane each number. The host reads rays, and
 # writes what they hit (a triangle's number or -1, barycentric coordinates, the distance in multiples of
 # the direction) and, in bytes, which shadow rays are lit. The rest is the kernels' own: `density` is
@@ -54,6 +57,17 @@ def wave_defines() -> dict[str, int | str]:
     return {"HEADER": f"{HEADER}u", "COUNT_STEP": f"{COUNT_STEP}u", **PLANES.defines()}
 
 
+def items_for(device: Device, rays: int) -> int:
+    """Work-items of a kernel that reads at most so many rays of a wave, and goes on where these are few.
+
+    On a GPU no more than what keeps it busy: how many rays there are is known there alone, and a
+    work-item without a ray costs as well.
+    """
+    if device.is_cpu:
+        return rays
+    return min(rays, device.cl_device.max_compute_units * GROUPS_A_UNIT * GROUP_SIZE)
+
+
 class Wave:
     """Memory for the rays of one bounce and their hits, as wave.cl lays it out.
 
@@ -71,8 +85,8 @@ class Wave:
         float32; some planes hold integers.
     plane : int
         Elements of a plane.
-    rays, shadows, tested : int
-        Numbers of path rays, of shadow rays to be traced, and of rays of both kinds that kernels answer.
+    rays, shadows : int
+        Numbers of path rays and of shadow rays; where the host does not wait for them, most there are.
     """
 
     def __init__(self, device: Device, capacity: int, panes: bool = False) -> None:
@@ -82,7 +96,7 @@ class Wave:
         self._planes = PLANES.size if panes else PANES_ONLY
         self.words = HostArray(device, HEADER + self._planes * self._plane_of(capacity), np.float32)
         self.words.fill(0)
-        self.plane = self.rays = self.shadows = self.tested = 0
+        self.plane = self.rays = self.shadows = 0
 
     def make_room(self, count: int) -> None:
         """For at most `count` rays of each kind."""
@@ -93,17 +107,25 @@ class Wave:
         # few sets of the cache.
         return -(-count // self._width) * self._width + COUNT_STEP
 
-    def trace(self, tracer: Tracer | DeviceTracer) -> float:
-        """Trace what kernels have appended, and leave the counts at zero; the seconds of embree."""
-        if isinstance(tracer, DeviceTracer):
-            self._trace_on_device(tracer)
-            return 0.0
+    def expect(self, rays: int, shadows: int) -> None:
+        """There are so many rays at most, which kernels count, and nobody waits for their numbers."""
+        self.rays, self.shadows = rays, shadows
+
+    def count(self) -> None:
+        """Wait for how many rays kernels have appended."""
+        with self.words.mapped(count=HEADER) as words:
+            self.rays, self.shadows = self._counts(words)
+
+    @staticmethod
+    def _counts(words: np.ndarray) -> list[int]:
+        return words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32).tolist()
+
+    def trace(self, tracer: Tracer) -> float:
+        """Have embree trace what kernels have appended; its seconds."""
         mapped = self._planes if self._panes else HOST_PLANES
         with self.words.mapped(count=HEADER + mapped * self.plane, update=True) as words:
             started = time.perf_counter()
-            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
-            self.rays, self.shadows = counts.tolist()
-            counts[:] = 0
+            self.rays, self.shadows = self._counts(words)
             planes = words[HEADER:].reshape(mapped, self.plane)
             rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
             triangle, u, v, distance = (
@@ -120,9 +142,8 @@ class Wave:
             )
             return time.perf_counter() - started
 
-    def _trace_on_device(self, tracer: DeviceTracer) -> None:
-        """Have kernels trace what others have appended; nobody waits for the answers."""
-        self.rays, self.shadows = self._take_counts()
+    def trace_on_device(self, tracer: DeviceTracer, hits: bool = True) -> None:
+        """Have kernels trace what others have appended, or with `hits` False its shadow rays alone."""
         files = ("common", "surface", "wave", "trace", "wave_rays")
         # What only lights need is left out.
         defines = {
@@ -130,26 +151,15 @@ class Wave:
             **wave_defines(),
             "HAS_ROWS": 0,
             "HAS_PANES": 0,
+            "FOLLOWED": 0,
             **tracer.defines(),
         }
         program = build(self._device, files, defines)
         arguments = {**tracer.arguments, "plane": self.plane, "wave": self.words}
-        hits = program.kernel("find_hits")
-        hits(self.rays, count=self.rays, numbers=tracer.numbers, **arguments)
-        program.kernel("find_lit")(self.shadows, count=self.shadows, **arguments)
-
-    def count(self) -> None:
-        """Count what kernels have appended and answer themselves, and leave the counts at zero."""
-        self.rays, tested = self._take_counts()
-        self.tested = self.rays + tested
-
-    def _take_counts(self) -> list[int]:
-        """How many rays and shadow rays kernels have appended; counts are left at zero."""
-        with self.words.mapped(count=HEADER, update=True) as words:
-            counts = words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32)
-            found = counts.tolist()
-            counts[:] = 0
-        return found
+        if hits:
+            find_hits = program.kernel("find_hits")
+            find_hits(items_for(self._device, self.rays), numbers=tracer.numbers, **arguments)
+        program.kernel("find_lit")(items_for(self._device, self.shadows), **arguments)
 
     def under_way(self) -> tuple[np.ndarray, np.ndarray]:
         """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
