@@ -8,7 +8,7 @@ import numpy as np
 
 from ..integrands import Integrand, IntegrandError
 from ..opencl.device import Device
-from ..opencl.memory import HostArray
+from ..opencl.memory import HostArray, Window
 from ..opencl.program import build
 from ..points.points import SURFACE, ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words
@@ -109,8 +109,9 @@ class CallableSource(Batches):
         values, weight = self._values(points, samples, stream, order, density)
         stride = self._stride_of(len(samples))
         count, shape = len(points) * stride, (len(points), stride)
-        with self._value.mapped(write=True) as view:
-            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+        window = Window(0, count, range(self.channels), range(count))
+        with self._value.mapped(write=True, window=window) as view:
+            planes = view.reshape(self.channels, *shape)
             planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
             planes[..., len(samples) :] = 0
         arrays = (self._u, self._v, self._value, self._slot, self._visible)

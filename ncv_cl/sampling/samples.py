@@ -9,7 +9,7 @@ import numpy as np
 
 from ..integrands import Integrand
 from ..opencl.device import Device
-from ..opencl.memory import HostArray
+from ..opencl.memory import HostArray, Window
 from ..opencl.program import build
 from ..points.groups import Groups
 from ..points.points import ShadingPoints, surface_defines
@@ -119,7 +119,7 @@ class Batches:
         self._value = HostArray(device, (self.channels, capacity), np.float32)
         self._weight = HostArray(device, capacity, np.float32)
         self._slot = HostArray(device, capacity, np.uint32)
-        self._visible = HostArray(device, capacity, np.uint8)
+        self._visible = HostArray(device, capacity, np.uint8, streams=True)
 
     @property
     def rays(self) -> RayCount:
@@ -356,6 +356,6 @@ class SampleSource(Batches):
         with self._slot.mapped(count=elements) as slot:
             traced = np.flatnonzero(slot < len(let_through))
             factors = let_through[slot[traced], : self.channels]
-        with self._value.mapped(update=True) as value:
-            planes = value.reshape(-1)[: self.channels * elements].reshape(self.channels, elements)
+        own = Window(0, elements, range(self.channels), range(elements))
+        with self._value.mapped(update=True, window=own) as planes:
             planes[:, traced] *= factors.T

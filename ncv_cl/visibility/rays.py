@@ -72,16 +72,17 @@ class HostRays:
     """
 
     runs_ahead = False
+    streams = True
 
     def __init__(
         self, device: Device, tracer: Tracer, capacity: int, sees_through: bool = False
     ) -> None:
         self._device, self._tracer, self._sees_through = device, tracer, sees_through
         self.arguments = {
-            "origins": HostArray(device, (capacity, 3), np.float32),
-            "directions": HostArray(device, (capacity, 3), np.float32),
-            "distances": HostArray(device, capacity, np.float32),
-            "ray_count": HostArray(device, COUNTS, np.uint32),
+            "origins": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "directions": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "distances": HostArray(device, capacity, np.float32, self.streams),
+            "ray_count": HostArray(device, COUNTS, np.uint32, self.streams),
         }
 
     def begin(self) -> None:
@@ -120,6 +121,7 @@ class DeviceRays(HostRays):
     """The same answered by a kernel: how many there are stays on the device until somebody asks."""
 
     runs_ahead = True
+    streams = False
 
     def __init__(self, device: Device, tracer: DeviceTracer, capacity: int) -> None:
         super().__init__(device, tracer, capacity)

@@ -1,0 +1,85 @@
+"""How much memory a device has, whether it is the host's too, and how much of it arrays take."""
+
+from __future__ import annotations
+
+import gc
+import threading
+
+import pyopencl as cl
+
+from .errors import DeviceMemoryError
+
+HINT = (
+    "Render fewer points at a time: a smaller image, less supersampling, or parts on several machines; "
+    "or choose a device with more memory"
+)
+
+
+class DeviceMemory:
+    """The memory of a device, and how many bytes of it are taken.
+
+    Parameters
+    ----------
+    shared : bool
+        Whether host and device use the same memory, so that nothing need be copied.
+    largest, total : int
+        Bytes that one array and all arrays may have.
+    name : str
+        The device's, for errors.
+
+    Attributes
+    ----------
+    taken : int
+        Bytes of the arrays that there are.
+    """
+
+    def __init__(self, shared: bool, largest: int, total: int, name: str = "the device") -> None:
+        self.shared, self.largest, self.total, self.name = shared, largest, total, name
+        self.taken = 0
+        # An array may end while another is made, in the same thread.
+        self._lock = threading.RLock()
+
+    @classmethod
+    def of(cls, cl_device: cl.Device) -> DeviceMemory:
+        """What a device says of itself."""
+        is_cpu = bool(cl_device.type & cl.device_type.CPU)
+        shared = is_cpu or bool(cl_device.host_unified_memory)
+        largest, total = cl_device.max_mem_alloc_size, cl_device.global_mem_size
+        return cls(shared, largest, total, cl_device.name.strip())
+
+    @property
+    def left(self) -> int:
+        """Bytes that nobody has taken."""
+        return self.total - self.taken
+
+    def check(self, size: int, what: str) -> None:
+        """Raise if an array of `size` bytes does not fit.
+
+        Raises
+        ------
+        DeviceMemoryError
+        """
+        if size > self.largest:
+            raise DeviceMemoryError(
+                f"{self.name}: {what} needs {size:,} bytes, the device allows {self.largest:,} in one "
+                f"array. {HINT}"
+            )
+        if size > self.left:
+            # What only cycles of references hold is still counted.
+            gc.collect()
+        if size > self.left:
+            raise DeviceMemoryError(
+                f"{self.name}: {what} needs {size:,} bytes, {max(self.left, 0):,} of {self.total:,} are "
+                f"left. {HINT}"
+            )
+
+    def take(self, size: int, what: str) -> None:
+        """Count an array of `size` bytes, until it is given back; raises as `check`."""
+        with self._lock:
+            self.check(size, what)
+            self.taken += size
+
+    def give_back(self, size: int) -> None:
+        """Count an array no longer."""
+        with self._lock:
+            self.taken -= size
