@@ -206,3 +206,16 @@ def _copy_arguments(own: np.ndarray, window: Window | None, offset_name: str) ->
         "buffer_pitches": (window.pitch * item,),
         "host_pitches": (row,),
     }
+
+
+def start_copy(array: HostArray, own: np.ndarray, window: Window, back: bool = False) -> cl.Event:
+    """Copy a window of an array to `own` (rows, columns), or `back`; the event of a copy under way.
+
+    Keep it until it is over: `own` is in use until then.
+    """
+    queue = array.device.queue
+    if back:
+        where = _copy_arguments(own, window, "dst_offset")
+        return cl.enqueue_copy(queue, array.buffer, own, is_blocking=False, **where)
+    where = _copy_arguments(own, window, "src_offset")
+    return cl.enqueue_copy(queue, own, array.buffer, is_blocking=False, **where)

@@ -1,18 +1,12 @@
-"""Waves: memory for the rays of one bounce of all paths, which kernels and the host share."""
+"""Memory for the rays of one bounce of all paths, which kernels write and read."""
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
-from ..opencl.device import GROUP_SIZE, Device
-from ..opencl.layout import Record
-from ..opencl.memory import HostArray
-from ..opencl.program import build
-from ..points.points import surface_defines
-from ..points.trace import Hits, Tracer
-from ..visibility.trace import DeviceTracer
+from ...opencl.device import GROUP_SIZE, Device
+from ...opencl.layout import Record
+from ...opencl.memory import HostArray
 
 # Words before the planes of a wave, and between the two counts there: a cache line each.
 HEADER, COUNT_STEP = 32, 16
@@ -57,13 +51,21 @@ def wave_defines() -> dict[str, int | str]:
     return {"HEADER": f"{HEADER}u", "COUNT_STEP": f"{COUNT_STEP}u", **PLANES.defines()}
 
 
+def knows_counts(device: Device) -> bool:
+    """Whether a device's counts are at hand, as where it is the host: asking then costs nothing.
+
+    Elsewhere a device would idle until the answer is there, and then the next kernels.
+    """
+    return device.is_cpu and device.memory.shared
+
+
 def items_for(device: Device, rays: int) -> int:
     """Work-items of a kernel that reads at most so many rays of a wave, and goes on where these are few.
 
-    On a GPU no more than what keeps it busy: how many rays there are is known there alone, and a
-    work-item without a ray costs as well.
+    Where their number is known on the device alone, no more than keep it busy: a work-item without a
+    ray costs as well.
     """
-    if device.is_cpu:
+    if knows_counts(device):
         return rays
     return min(rays, device.cl_device.max_compute_units * GROUPS_A_UNIT * GROUP_SIZE)
 
@@ -86,13 +88,14 @@ class Wave:
     plane : int
         Elements of a plane.
     rays, shadows : int
-        Numbers of path rays and of shadow rays; where the host does not wait for them, most there are.
+        Numbers of path rays and of shadow rays, or most there may be until somebody asks.
+    panes : bool
     """
 
     def __init__(self, device: Device, capacity: int, panes: bool = False) -> None:
         self._device = device
         self._width = device.vector_width
-        self._panes = panes
+        self.panes = panes
         self._planes = PLANES.size if panes else PANES_ONLY
         self.words = HostArray(device, HEADER + self._planes * self._plane_of(capacity), np.float32)
         self.words.fill(0)
@@ -108,58 +111,23 @@ class Wave:
         return -(-count // self._width) * self._width + COUNT_STEP
 
     def expect(self, rays: int, shadows: int) -> None:
-        """There are so many rays at most, which kernels count, and nobody waits for their numbers."""
+        """There are so many rays at most, which kernels count."""
         self.rays, self.shadows = rays, shadows
 
     def count(self) -> None:
         """Wait for how many rays kernels have appended."""
         with self.words.mapped(count=HEADER) as words:
-            self.rays, self.shadows = self._counts(words)
+            self.take_counts(words)
 
-    @staticmethod
-    def _counts(words: np.ndarray) -> list[int]:
-        return words[: 2 * COUNT_STEP : COUNT_STEP].view(np.uint32).tolist()
+    def take_counts(self, words: np.ndarray) -> None:
+        """Take the numbers of rays from `words`, float32, the wave's first."""
+        counts = words[: COUNT_STEP + 1 : COUNT_STEP].view(np.uint32)
+        self.rays, self.shadows = counts.tolist()
 
-    def trace(self, tracer: Tracer) -> float:
-        """Have embree trace what kernels have appended; its seconds."""
-        mapped = self._planes if self._panes else HOST_PLANES
-        with self.words.mapped(count=HEADER + mapped * self.plane, update=True) as words:
-            started = time.perf_counter()
-            self.rays, self.shadows = self._counts(words)
-            planes = words[HEADER:].reshape(mapped, self.plane)
-            rays, shadows = planes[:, : self.rays], planes[:, : self.shadows]
-            triangle, u, v, distance = (
-                rays[PLANES[name].start] for name in ("triangle", "u", "v", "distance")
-            )
-            tracer.closest_and_visible(
-                rays[PLANES["origin"]].T,
-                rays[PLANES["direction"]].T,
-                Hits(triangle.view(np.int32), u, v, distance),
-                shadows[PLANES["shadow_origin"]].T,
-                shadows[PLANES["shadow_direction"]].T,
-                planes[PLANES["lit"].start].view(np.uint8)[: self.shadows],
-                *([planes[PLANES["shadow_throughput"], : self.shadows].T] if self._panes else []),
-            )
-            return time.perf_counter() - started
-
-    def trace_on_device(self, tracer: DeviceTracer, hits: bool = True) -> None:
-        """Have kernels trace what others have appended, or with `hits` False its shadow rays alone."""
-        files = ("common", "surface", "wave", "trace", "wave_rays")
-        # What only lights need is left out.
-        defines = {
-            **surface_defines(),
-            **wave_defines(),
-            "HAS_ROWS": 0,
-            "HAS_PANES": 0,
-            "FOLLOWED": 0,
-            **tracer.defines(),
-        }
-        program = build(self._device, files, defines)
-        arguments = {**tracer.arguments, "plane": self.plane, "wave": self.words}
-        if hits:
-            find_hits = program.kernel("find_hits")
-            find_hits(items_for(self._device, self.rays), numbers=tracer.numbers, **arguments)
-        program.kernel("find_lit")(items_for(self._device, self.shadows), **arguments)
+    @property
+    def host_planes(self) -> int:
+        """Planes, the first so many, that the host reads or writes."""
+        return self._planes if self.panes else HOST_PLANES
 
     def under_way(self) -> tuple[np.ndarray, np.ndarray]:
         """Paths of the rays, uint32, and their throughputs, float32 (3, rays)."""
