@@ -9,7 +9,7 @@ import numpy as np
 from ..opencl.device import Device
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
-from .samples import Batch
+from ..visibility.room import Batch
 
 # What is kept of the place that a path reaches first: how far rays leave it off the surface, 0 where it
 # is not shared, and the place itself; and what the path's throughput began with.
