@@ -19,7 +19,7 @@ from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.lines import LINE_FILES, line_defines
 from ..visibility.rays import RayCount, shadow_rays
-from ..visibility.room import Asked, Batch, Room
+from ..visibility.room import Asked, Batch, Room, sample_bytes
 from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
@@ -30,7 +30,8 @@ NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 SAMPLES_A_PASS = 128
-# Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
+# Samples held at a time, or fewer where the device has less memory: the scratch memory of sampling is
+# fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
 LONGEST_RUN = 1024
@@ -52,6 +53,8 @@ class Batches:
     channels : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
+    nested : bool
+        Whether there are paths behind the samples.
 
     Attributes
     ----------
@@ -71,7 +74,12 @@ class Batches:
     runs_ahead = False
 
     def __init__(
-        self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
+        self,
+        device: Device,
+        points: ShadingPoints,
+        channels: int,
+        samples_per_point: int,
+        nested: bool = False,
     ) -> None:
         self.device = device
         self.points = points
@@ -79,7 +87,8 @@ class Batches:
         self._rays = RayCount()
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
-        self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
+        samples = device.memory.fitting(SAMPLES_PER_BATCH, sample_bytes(channels, nested))
+        self.points_per_batch = max(1, min(points.active, samples // self.stride))
         capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN * self.members)
         self._room = Room(device, channels, capacity)
 
@@ -193,7 +202,7 @@ class SampleSource(Batches):
         lines: bool = False,
         slices: Slices | None = None,
     ) -> None:
-        super().__init__(device, points, integrand.channels, samples_per_point)
+        super().__init__(device, points, integrand.channels, samples_per_point, integrand.nested)
         self.sliced = slices is not None
         self._tracer = tracer
         # Rays to lights pass panes; for others these are in the way.

@@ -48,6 +48,16 @@ class Batch:
     entries: int = 1
 
 
+# Bytes that a sample takes in `Room` and `HostRays`, but its values; and what paths take at most: two
+# waves of two branches, what each brings, and where points share paths their hits and entries.
+SAMPLE_BYTES, PATH_BYTES = 17 + 28, 1 << 10
+
+
+def sample_bytes(channels: int, nested: bool) -> int:
+    """Bytes of the memory of two batches, or of one of paths, for each of their samples, at most."""
+    return 2 * (SAMPLE_BYTES + 4 * channels) + (PATH_BYTES if nested else 0)
+
+
 class Room:
     """Memory for one batch: arrays as in `Batch`."""
 
