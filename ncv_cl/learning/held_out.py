@@ -12,7 +12,8 @@ from ..opencl.device import Device
 from ..opencl.memory import HostArray, Window
 from ..points.points import ShadingPoints
 from ..sampling.accumulate import Accumulator
-from ..sampling.samples import NO_RAY, SEEN, Batch
+from ..sampling.samples import NO_RAY, SEEN
+from ..visibility.room import Batch
 
 
 class HeldOut:

@@ -9,10 +9,10 @@ import pyopencl as cl
 
 from .errors import DeviceMemoryError
 
-HINT = (
-    "Render fewer points at a time: a smaller image, less supersampling, or parts on several machines; "
-    "or choose a device with more memory"
-)
+HINT = "Take a smaller image, less supersampling, or a device with more memory"
+
+# A stage's working memory is this part of what is left: the next stages' points need some, too.
+WORKING_PART = 4
 
 
 class DeviceMemory:
@@ -72,6 +72,14 @@ class DeviceMemory:
                 f"{self.name}: {what} needs {size:,} bytes, {max(self.left, 0):,} of {self.total:,} are "
                 f"left. {HINT}"
             )
+
+    def fitting(self, wanted: int, element_bytes: int) -> int:
+        """How many elements of `wanted`, of so many bytes in all, go into the working memory of a stage.
+
+        At least one. That of a stage may be a quarter of what is left; and one array may not be larger
+        than the device allows, so this holds whatever part of the bytes it has.
+        """
+        return max(1, min(wanted, min(self.left // WORKING_PART, self.largest) // element_bytes))
 
     def take(self, size: int, what: str) -> None:
         """Count an array of `size` bytes, until it is given back; raises as `check`."""

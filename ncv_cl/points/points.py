@@ -44,6 +44,8 @@ RELATIVE_OFFSET = 32 * 2.0**-24
 # This part of a triangle's extent counts for every normal, so that the offset is never zero.
 LEAST_SPREAD = 2.0**-10
 CAMERA_RAYS_PER_BATCH = 1 << 19
+# Origin and direction.
+CAMERA_RAY_BYTES = 4 * (3 + 3)
 
 
 def surface_defines() -> dict[str, int | str]:
@@ -295,7 +297,7 @@ def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
 
 
 def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int, cells: range) -> Hits:
-    batch = min(CAMERA_RAYS_PER_BATCH, len(cells))
+    batch = device.memory.fitting(min(CAMERA_RAYS_PER_BATCH, len(cells)), CAMERA_RAY_BYTES)
     origins = HostArray(device, (batch, 3), np.float32, streams=True)
     directions = HostArray(device, (batch, 3), np.float32, streams=True)
     found = []

@@ -11,7 +11,7 @@ from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program
 from ..points.points import ShadingPoints
-from .samples import Batch
+from ..visibility.room import Batch
 from .warp import Warp
 from .waves.waves import Waves
 
