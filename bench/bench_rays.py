@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from ncv_cl.sampling.wave import HEADER, HOST_PLANES, PLANES, Wave
 from training import SCENES
 from visibility_case import cut_in_four
 
@@ -25,7 +26,6 @@ from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.wave import HEADER, HOST_PLANES, PLANES, Wave
 from ncv_cl.scene.load import Scene, load_scene
 from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.rays import RayCount, shadow_rays
