@@ -81,7 +81,7 @@ def test_instructions_are_weighed_and_shared_among_items():
     assert found["one"].instructions == (20 + 18 + 4 + 6 + 4) / 2
     assert found["one"].flops == (20 + 2 * 18 + 2 * 4) / 2
     assert (found["one"].loaded, found["one"].stored) == ((8 + 12) / 2, 16 / 2)
-    assert found["two"] == gpu_instructions.Work(8, 2, 0, 0)
+    assert found["two"] == gpu_instructions.Work(16, 2, 0, 0)
 
 
 def kernel_time(name="plain", launches=0, occupancy=1.0, **work):
