@@ -165,14 +165,15 @@ class Passes:
         drawn = np.zeros(len(allocation.counts))
         source = self._problem.source
         most_points = self._density.most_points if self._density is not None else None
+        parts = []
         for run in allocation.part(*(int(self.edges[k]) for k in (number, number + 1, -1))):
             drawn[run.points.start : run.points.stop] = len(run.samples)
-            for points, samples in source.parts(*run, most_points, allocation.grouped):
-                shared = {"grouped": True} if points.start < allocation.grouped else {}
-                batch = source.draw(points, samples, stream, order, self._density, **shared)
-                with self._watch("estimate"):
-                    accumulator.add(batch, samples.start)
-                    if not source.runs_ahead:
-                        self._problem.device.queue.finish()
-            bar.update(len(run.points) * len(run.samples))
+            parts += source.parts(*run, most_points, allocation.grouped)
+        batches = source.drawn(parts, stream, order, self._density, allocation.grouped)
+        for (points, samples), batch in zip(parts, batches, strict=True):
+            with self._watch("estimate"):
+                accumulator.add(batch, samples.start)
+                if not source.runs_ahead:
+                    self._problem.device.queue.finish()
+            bar.update(len(points) * len(samples))
         accumulator.finish_pass(drawn, allocation.chosen)

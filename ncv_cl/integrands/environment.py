@@ -183,20 +183,6 @@ def environment_seen(scene: Scene, directions: np.ndarray) -> np.ndarray | None:
     return surroundings(scene).radiance_of(directions) if has_environment(scene) else None
 
 
-def environment_dark(scene: Scene, normal: np.ndarray) -> np.ndarray:
-    """Where surfaces get nothing of the environment, whatever is in the way: bool (points,).
-
-    Parameters
-    ----------
-    normal : ndarray
-        float64 (3, points).
-    """
-    if has_image(scene):
-        return np.zeros(normal.shape[1], bool)
-    suns = surroundings(scene).suns
-    return np.all([sun.towards @ normal <= -np.sin(sun.half_angle) - 1e-6 for sun in suns], axis=0)
-
-
 def _sun_cosines(towards: np.ndarray, half_angle: float, cells: Cells) -> np.ndarray:
     """The mean cosine over a cell's normals; tiny where it is 0 but something may be lit: (cells,)."""
     mean = np.maximum(cells.normals @ towards, 0.0).mean(axis=1)

@@ -17,10 +17,10 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
-from ..sampling.samples import Batch
 from ..settings.presets import Preset
 from ..settings.schedule import Schedule
 from ..settings.settings import Settings
+from ..visibility.room import Batch
 from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
 from .growth import batch_growth, grown

@@ -19,8 +19,9 @@ from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
-from ..sampling.samples import Batch, ray_defines
+from ..sampling.samples import ray_defines
 from ..settings.schedule import Schedule
+from ..visibility.room import Batch
 from . import tuning
 from .step_shape import PARTIAL_SUMS, StepShape
 

@@ -101,12 +101,12 @@ def varying_inputs(points: ShadingPoints, candidates: tuple[str, ...]) -> tuple[
 
     An input that is the same at every point tells the network nothing.
     """
-    has_specular = bool(np.any(points.rows("reflectance")[:, : points.active] > 0))
+    has_specular = bool(np.any(points.active_rows("reflectance") > 0))
     chosen = []
     for name in INPUTS:
         if name not in candidates or (name in ("outgoing", "roughness") and not has_specular):
             continue
-        rows = points.rows(name)[:, : points.active]
+        rows = points.active_rows(name)
         if name == "position" or np.any(np.ptp(rows, axis=1) > 0 if rows.size else False):
             chosen.append(name)
     return tuple(chosen)
@@ -137,7 +137,7 @@ class GridCube:
         whole = cls.around(bounds)
         if not points.active:
             return whole
-        positions = points.rows("position")[:, : points.active].astype(np.float64)
+        positions = points.active_rows("position").astype(np.float64)
         most = np.quantile(positions, [OUTLIERS, 1 - OUTLIERS], axis=1) + points.origin
         seen = cls.around(most)
         return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands.emitted import emitted_light
-from ..points.points import SURFACE, ShadingPoints
+from ..points.points import ShadingPoints, surface_window
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
 from ..settings.settings import Settings
@@ -137,12 +137,12 @@ def resolve_image(
         pixels[..., channel] = plane
         pixel_variance[..., channel] = grid.variance_of_mean(variance[row], active)
     del emitted, beyond
-    with points.surface.mapped() as rows:
-        layers = {
-            "albedo": grid.average(rows[SURFACE["albedo"]], everything),
-            "N": grid.average(rows[SURFACE["normal"]], everything),
-            "depth": _depth(scene, grid, rows[SURFACE["position"]]),
-        }
+    surface, layers = points.surface, {}
+    for layer, name in (("albedo", "albedo"), ("N", "normal")):
+        with surface.mapped(window=surface_window(surface, name)) as rows:
+            layers[layer] = grid.average(rows, everything)
+    with surface.mapped(window=surface_window(surface, "position")) as position:
+        layers["depth"] = _depth(scene, grid, position)
     if residual is not None and integral is not None:
         layers["G"] = grid.average(integral, active, 3)
         layers["residual"] = grid.average(residual.mean, active, 3)

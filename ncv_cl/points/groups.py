@@ -54,7 +54,7 @@ def group_points(points: ShadingPoints, members: int, window: int, apart: int = 
     if members == 1:
         return Groups(np.arange(points.active, dtype=np.uint32))
     names = ("position", "normal", "albedo", "reflectance")
-    rows = [points.rows(name)[:, : points.active] for name in names]
+    rows = [points.active_rows(name) for name in names]
     groups: list[np.ndarray] = []
     rest: list[np.ndarray] = []
     for first in range(0, points.active, BLOCK_POINTS):

@@ -17,13 +17,14 @@ from ..estimation.pilot import draw_pilot
 from ..estimation.stopping import ErrorTarget
 from ..host.clock import UNLIMITED, Run
 from ..learning.learn import learn
-from ..network.network import Network
+from ..network.network import Network, NetworkDescription
 from ..output.checkpoint import Checkpoint
 from ..output.keep import Keep
 from ..sampling.accumulate import Estimate
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
+from .memory import check_memory
 from .plan import Plan, make_plan
 
 
@@ -96,10 +97,12 @@ def estimate_integrals(
     resumed = keep.resumed
     if resumed is not None:
         plan = Plan(settings.planned(resumed.method), "as it was begun")
+        check_memory(problem, plan.settings, resumed.network and resumed.network.description)
         before = _resumed(problem, plan.settings, resumed)
     else:
         wanted = given is not None or keep.network is not None
         plan = make_plan(problem, settings, wanted)
+        check_memory(problem, plan.settings, _description(problem, plan.settings, given))
         before = _learned(problem, plan.settings, run, given)
     settings = plan.settings
     variate = None
@@ -122,6 +125,17 @@ def estimate_integrals(
         training=before.about or {},
         idle=idle(variate, problem.points.active) if variate else {},
     )
+
+
+def _description(
+    problem: Problem, settings: Settings, given: Trained | None
+) -> NetworkDescription | None:
+    """Of the network that is given or will be trained; None for plain Monte Carlo."""
+    if settings.method == "mc":
+        return None
+    if given is not None:
+        return given.network.description
+    return settings.preset.description(settings.integrand, problem.inputs)
 
 
 def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | None) -> Before:

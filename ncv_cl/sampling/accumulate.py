@@ -15,7 +15,8 @@ from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
-from .samples import Batch, ray_defines
+from ..visibility.room import Batch
+from .samples import ray_defines
 
 # Of every point and channel: the mean so far, what rounding took from it, and the sum of squared
 # deviations.

@@ -9,12 +9,13 @@ import numpy as np
 from ..integrands import Integrand, IntegrandError
 from ..opencl.device import Device
 from ..opencl.kernel import Arguments
-from ..opencl.memory import HostArray
+from ..opencl.memory import HostArray, Window
 from ..opencl.program import build
 from ..points.points import SURFACE, ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..scene.load import Scene
-from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
+from ..visibility.room import Batch
+from .samples import SAMPLES_A_PASS, Batches, ray_defines
 from .warp import Warp
 
 # A callable's constant is the median of so many values at each of so many points.
@@ -84,7 +85,10 @@ class CallableSource(Batches):
             **sampler_defines(sampler),
             **ray_defines(),
         }
-        with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
+        with (
+            self._room.slot.mapped(write=True) as slot,
+            self._room.visible.mapped(write=True) as visible,
+        ):
             slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
         self.offset = np.zeros(channels)
 
@@ -110,11 +114,12 @@ class CallableSource(Batches):
         values, weight = self._values(points, samples, stream, order, density)
         stride = self._stride_of(len(samples))
         count, shape = len(points) * stride, (len(points), stride)
-        with self._value.mapped(write=True) as view:
-            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+        window = Window(0, count, range(self.channels), range(count))
+        with self._room.value.mapped(write=True, window=window) as view:
+            planes = view.reshape(self.channels, *shape)
             planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
             planes[..., len(samples) :] = 0
-        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        arrays = (self._room.u, self._room.v, self._room.value, self._room.slot, self._room.visible)
         return Batch(points, order, len(samples), stride, *arrays, weight)
 
     def _values(
@@ -131,7 +136,7 @@ class CallableSource(Batches):
         files: tuple[str, ...] = ()
         defines: dict[str, int | str] = {}
         if density is not None:
-            warp = {"density": density.records(order, points), "weight": self._weight}
+            warp = {"density": density.records(order, points), "weight": self._room.weight}
             files, defines = density.files, density.defines
         defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
         program = build(self.device, ("common", "sampler", *files, "callable"), defines)
@@ -146,11 +151,13 @@ class CallableSource(Batches):
             **self._seed,
             order=order,
             **warp,
-            u=self._u,
-            v=self._v,
+            u=self._room.u,
+            v=self._room.v,
         )
         count, shape = len(points) * stride, (len(points), stride)
-        u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
+        u, v = (
+            array.read(count).reshape(shape)[:, : len(samples)] for array in (self._room.u, self._room.v)
+        )
         chosen = order.read()[points.start : points.stop]
         index = np.broadcast_to(chosen[:, None] + np.uint32(self.points.first_id), u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, fields
 
 import numpy as np
+import pyopencl as cl
 
 from ..opencl.device import Device
 from ..opencl.kernel import Arguments
@@ -68,25 +69,33 @@ class ShadowRays:
     ----------
     arguments : dict
         Those of draw_samples, by name.
+    streams : bool
+        Whether the host reads the rays.
+    runs_ahead : bool
+        Whether it does not wait for them.
     """
 
     runs_ahead = False
+    streams = True
 
     def __init__(self, device: Device, capacity: int) -> None:
         self.arguments: Arguments = {
-            "origins": HostArray(device, (capacity, 3), np.float32),
-            "directions": HostArray(device, (capacity, 3), np.float32),
-            "distances": HostArray(device, capacity, np.float32),
-            "ray_count": HostArray(device, COUNTS, np.uint32),
+            "origins": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "directions": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "distances": HostArray(device, capacity, np.float32, self.streams),
+            "ray_count": HostArray(device, COUNTS, np.uint32, self.streams),
         }
 
     def begin(self) -> None:
         """Before a batch."""
         self.arguments["ray_count"].fill(0)
 
-    def answer(self, samples: int, visible: HostArray, count: RayCount) -> np.ndarray | None:
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> np.ndarray | None:
         """Answer the rays of a batch of `samples` into `visible` (uint8), and count them.
 
+        With `drawn`, the event of the kernel that made them, what comes after it is not waited for.
         Returns what panes let through of each, float32 (rays, 3), where rays pass them.
         """
         raise NotImplementedError
@@ -102,15 +111,18 @@ class HostRays(ShadowRays):
         super().__init__(device, capacity)
         self._tracer, self._sees_through = tracer, sees_through
 
-    def answer(self, samples: int, visible: HostArray, count: RayCount) -> np.ndarray | None:
-        counted = self.arguments["ray_count"].read().tolist()
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> np.ndarray | None:
+        with self.arguments["ray_count"].mapped(after=drawn) as counts:
+            counted = counts.tolist()
         rays = counted[0]
         started = time.perf_counter()
         with (
-            self.arguments["origins"].mapped(count=rays) as origins,
-            self.arguments["directions"].mapped(count=rays) as directions,
-            self.arguments["distances"].mapped(count=rays) as distances,
-            visible.mapped(write=True, count=rays) as answers,
+            self.arguments["origins"].mapped(count=rays, after=drawn) as origins,
+            self.arguments["directions"].mapped(count=rays, after=drawn) as directions,
+            self.arguments["distances"].mapped(count=rays, after=drawn) as distances,
+            visible.mapped(write=True, count=rays, after=drawn) as answers,
         ):
             if self._sees_through:
                 let_through = np.ones((rays, 3), np.float32)
@@ -127,6 +139,7 @@ class DeviceRays(ShadowRays):
     """Rays that a kernel answers: how many there are stays on the device until somebody asks."""
 
     runs_ahead = True
+    streams = False
 
     def __init__(self, device: Device, tracer: DeviceTracer, capacity: int) -> None:
         super().__init__(device, capacity)
@@ -137,7 +150,9 @@ class DeviceRays(ShadowRays):
         self._totals.fill(0)
         self._samples = 0
 
-    def answer(self, samples: int, visible: HostArray, count: RayCount) -> None:
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> None:
         find, add = (self._program.kernel(name) for name in ("find_visible", "add_counts"))
         # There is one ray a sample at most; work-items beyond the last ray end at once.
         find(samples, **self._tracer.arguments, **self.arguments, visible=visible)
