@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from ncv_cl.sampling.wave import HEADER, PLANES, Wave
 from training import SCENES
 from visibility_case import cut_in_four
 
@@ -23,7 +24,6 @@ from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.wave import HEADER, PLANES, Wave
 from ncv_cl.scene.load import Scene, load_scene
 from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.rays import RayCount, shadow_rays

@@ -11,13 +11,13 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 
 from .device import Device
-from .staging import Staging, copy_queue
+from .staging import READ_AND_WRITE, Staging, copy_queue
 
 
 class Window(NamedTuple):
@@ -70,7 +70,7 @@ class HostArray:
         memory = device.memory
         memory.take(size, f"an array {self.shape} of {self.dtype}")
         weakref.finalize(self, memory.give_back, size).atexit = False
-        flags = cl.mem_flags.READ_WRITE
+        flags: int = cl.mem_flags.READ_WRITE
         self._shared = memory.shared
         if self._shared:
             flags |= cl.mem_flags.ALLOC_HOST_PTR
@@ -133,11 +133,11 @@ class HostArray:
         """The array itself."""
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
         if update:
-            flags = cl.map_flags.READ | cl.map_flags.WRITE
+            flags = READ_AND_WRITE
         start, mapped = 0, shape
         if window:
             # From the first to the last element; what lies between rows is kept.
-            start, mapped = window.start, (shape[0] - 1) * window.pitch + shape[1]
+            start, mapped = window.start, ((shape[0] - 1) * window.pitch + shape[1],)
             flags = cl.map_flags.WRITE if write else flags
         begin = start * self.dtype.itemsize
         queue = self.device.queue
@@ -162,15 +162,16 @@ class HostArray:
         after: cl.Event | None,
     ) -> Iterator[np.ndarray]:
         """Copies of what is asked for, before the block and after it."""
-        queue, waits = self.device.queue, {}
+        queue, staging = self.device.queue, self._staging
+        waits: dict[str, Any] = {}
         if after is not None:
             queue.flush()
             queue, waits = copy_queue(self.device), {"wait_for": [after]}
         number = None
-        if self._staging is None:
+        if staging is None:
             own = np.empty(shape, self.dtype)
         else:
-            own, number = self._staging.area(shape, self.dtype)
+            own, number = staging.area(shape, self.dtype)
         if not write:
             where = _copy_arguments(own, window, "src_offset")
             cl.enqueue_copy(queue, own, self.buffer, is_blocking=True, **where, **waits)
@@ -181,15 +182,15 @@ class HostArray:
                 where = _copy_arguments(own, window, "dst_offset")
                 blocks = number is None
                 copy = cl.enqueue_copy(queue, self.buffer, own, is_blocking=blocks, **where, **waits)
-                if number is not None:
-                    self._staging.copying(number, copy)
+                if staging is not None and number is not None:
+                    staging.copying(number, copy)
                 if after is not None:
                     # What the first queue is asked from now on sees what was written.
                     queue.flush()
                     cl.enqueue_barrier(self.device.queue, wait_for=[copy])
 
 
-def _copy_arguments(own: np.ndarray, window: Window | None, offset_name: str) -> dict[str, object]:
+def _copy_arguments(own: np.ndarray, window: Window | None, offset_name: str) -> dict[str, Any]:
     """Where `enqueue_copy` finds in the buffer what `own` (dense) is a copy of."""
     if window is None:
         return {offset_name: 0}

@@ -6,11 +6,15 @@ memory it reads itself, several times as fast, and while the host does something
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pyopencl as cl
 
 from .device import Device, once
 
+# Flags add up, which pyopencl's hints leave out.
+READ_AND_WRITE = cast(cl.map_flags, cl.map_flags.READ | cl.map_flags.WRITE)
 # One is filled while the other is being copied.
 AREAS = 2
 
@@ -51,7 +55,13 @@ class Staging:
     def _pinned(self, size: int) -> np.ndarray:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
         buffer = cl.Buffer(self._device.context, flags, size=size)
-        both = cl.map_flags.READ | cl.map_flags.WRITE
-        queue = self._device.queue
-        view, _ = cl.enqueue_map_buffer(queue, buffer, both, 0, size, np.uint8, is_blocking=True)
+        view, _ = cl.enqueue_map_buffer(
+            self._device.queue,
+            buffer,
+            READ_AND_WRITE,
+            0,
+            (size,),
+            np.dtype(np.uint8),
+            is_blocking=True,
+        )
         return view
