@@ -59,7 +59,7 @@ class Plan:
     seeds: int
 
 
-FULL, QUICK = Plan(192, (16, 64, 256), 3), Plan(16, (16, 64), 2)
+FULL, QUICK = Plan(64, (16, 64), 2), Plan(16, (16, 64), 2)
 # Slices are few, and ways of fewer samples reach what "auto" does by more: both sides of its numbers.
 FACTORS = (0.25, 1, 4)
 
