@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from ncv_cl.integration.subdivide import subdivide
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GROUP_SIZE, Device
 from ncv_cl.opencl.kernel import Kernel
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.opencl.probe import measure
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.settings.presets import PRESETS
@@ -162,6 +163,12 @@ def render_everything(device: Device, folder: Path) -> None:
     # Rays by kernels, those of paths too, of more triangles than are tested one by one.
     scene.write_text(MATTE + GLOWING[GLOWING.index("[[spheres]]") :], encoding="utf-8")
     render(scene, GlobalIllumination(3), "mc", rays="device", spp=2, size=(4, 4), device=device)
+    # Paths that are followed to their ends where the host does not know how many are left.
+    memory = DeviceMemory(False, device.memory.largest, device.memory.total)
+    discrete = replace(device, memory=memory)
+    for text in (scene.read_text(encoding="utf-8"), MATTE):
+        scene.write_text(text, encoding="utf-8")
+        render(scene, GlobalIllumination(), "mc", rays="device", spp=2, size=(4, 4), device=discrete)
     disc = ROUND[: ROUND.index('[[lights]]\nkind = "sphere"')]
     for text, density in ((MATTE, "subdivision"), (disc, "table")):
         scene.write_text(text, encoding="utf-8")
