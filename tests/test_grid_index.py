@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from operator import itemgetter
 
 import numpy as np
 import pytest
