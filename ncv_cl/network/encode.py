@@ -8,6 +8,7 @@ import numpy as np
 
 from ..host.files import some_of, whole_number
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import INPUTS, ShadingPoints, surface_defines
@@ -98,12 +99,12 @@ def varying_inputs(points: ShadingPoints, candidates: tuple[str, ...]) -> tuple[
 
     An input that is the same at every point tells the network nothing.
     """
-    has_specular = bool(np.any(points.rows("reflectance")[:, : points.active] > 0))
+    has_specular = bool(np.any(points.active_rows("reflectance") > 0))
     chosen = []
     for name in INPUTS:
         if name not in candidates or (name in ("outgoing", "roughness") and not has_specular):
             continue
-        rows = points.rows(name)[:, : points.active]
+        rows = points.active_rows(name)
         if name == "position" or np.any(np.ptp(rows, axis=1) > 0 if rows.size else False):
             chosen.append(name)
     return tuple(chosen)
@@ -134,12 +135,12 @@ class GridCube:
         whole = cls.around(bounds)
         if not points.active:
             return whole
-        positions = points.rows("position")[:, : points.active].astype(np.float64)
+        positions = points.active_rows("position").astype(np.float64)
         most = np.quantile(positions, [OUTLIERS, 1 - OUTLIERS], axis=1) + points.origin
         seen = cls.around(most)
         return seen if 0 < np.ptp(most, axis=0).max() < SMALL_PART * whole.side else whole
 
-    def about(self, origin: np.ndarray) -> dict[str, float]:
+    def about(self, origin: np.ndarray) -> Arguments:
         """As encode.cl takes it: the lower corner about the points' `origin`, and one over the side."""
         x, y, z = (np.asarray(self.lower) - origin).tolist()
         return {"lower_x": x, "lower_y": y, "lower_z": z, "inverse_side": 1.0 / self.side}
