@@ -244,6 +244,8 @@ def test_examples_render(folder, small, monkeypatch, name):
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     monkeypatch.setattr(sys, "argv", [name])
+    bake = ncv.bake
+    monkeypatch.setattr(ncv, "bake", lambda *a, **options: bake(*a[:2], SIZE, *a[3:], **options))
     runpy.run_path(str(CHECKOUT / "examples" / name), run_name="__main__")
     pictures = sorted(folder.glob("*.png"))
     assert pictures and all(path.read_bytes()[:4] == b"\x89PNG" for path in pictures)

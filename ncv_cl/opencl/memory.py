@@ -17,7 +17,7 @@ import numpy as np
 import pyopencl as cl
 
 from .device import Device
-from .staging import READ_AND_WRITE, Staging, copy_queue
+from .staging import Staging, copy_queue
 
 
 class Window(NamedTuple):
@@ -70,10 +70,11 @@ class HostArray:
         memory = device.memory
         memory.take(size, f"an array {self.shape} of {self.dtype}")
         weakref.finalize(self, memory.give_back, size).atexit = False
-        flags: int = cl.mem_flags.READ_WRITE
         self._shared = memory.shared
+        flags = cl.mem_flags.READ_WRITE
         if self._shared:
-            flags |= cl.mem_flags.ALLOC_HOST_PTR
+            # Flags add up, which pyopencl's hints leave out.
+            flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR  # type: ignore[assignment]
         self._staging = Staging(device) if streams and not self._shared else None
         self.buffer = cl.Buffer(device.context, flags, size=size)
 
@@ -133,7 +134,8 @@ class HostArray:
         """The array itself."""
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
         if update:
-            flags = READ_AND_WRITE
+            # Flags add up, which pyopencl's hints leave out.
+            flags = cl.map_flags.READ | cl.map_flags.WRITE  # type: ignore[assignment]
         start, mapped = 0, shape
         if window:
             # From the first to the last element; what lies between rows is kept.
@@ -167,11 +169,9 @@ class HostArray:
         if after is not None:
             queue.flush()
             queue, waits = copy_queue(self.device), {"wait_for": [after]}
-        number = None
-        if staging is None:
-            own = np.empty(shape, self.dtype)
-        else:
-            own, number = staging.area(shape, self.dtype)
+        own, number = (
+            (np.empty(shape, self.dtype), 0) if staging is None else staging.area(shape, self.dtype)
+        )
         if not write:
             where = _copy_arguments(own, window, "src_offset")
             cl.enqueue_copy(queue, own, self.buffer, is_blocking=True, **where, **waits)
@@ -179,10 +179,9 @@ class HostArray:
             yield own
         finally:
             if write or update:
-                where = _copy_arguments(own, window, "dst_offset")
-                blocks = number is None
-                copy = cl.enqueue_copy(queue, self.buffer, own, is_blocking=blocks, **where, **waits)
-                if staging is not None and number is not None:
+                where = _copy_arguments(own, window, "dst_offset") | waits
+                copy = cl.enqueue_copy(queue, self.buffer, own, is_blocking=staging is None, **where)
+                if staging is not None:
                     staging.copying(number, copy)
                 if after is not None:
                     # What the first queue is asked from now on sees what was written.
