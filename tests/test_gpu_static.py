@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from every_program import Built, build_everything
+from every_program import Built, build_everything, programs_of
 from gpu.amd import Amd
 from gpu.compilers import Compiler, Row, worst_rows
 from gpu.nvidia import Nvidia
@@ -54,7 +54,7 @@ def gpu_shape(device: Device) -> Device:
 
 @pytest.fixture(scope="module")
 def programs(one_device, tmp_path_factory) -> list[Built]:
-    return build_everything([gpu_shape(one_device)], tmp_path_factory.mktemp("programs"))
+    return programs_of(gpu_shape(one_device), tmp_path_factory)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

@@ -15,13 +15,16 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from reference import RayRecorder, sampling, shadowed_values
 from test_pictures import PICTURES, SCENES, SMALL
 
 import ncv_cl as ncv
 from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.kernel import Kernel
 from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.opencl.memory import HostArray, Window
 from ncv_cl.opencl.staging import copy_queue
+from ncv_cl.sampling.accumulate import STATE
 
 RUBBISH = 0xCD
 _mapped = HostArray.mapped
@@ -149,3 +152,71 @@ def test_a_window_reads_and_writes_its_own_elements(
         view += 1
     part += 1
     assert np.array_equal(array.read(), expected)
+
+
+@pytest.mark.parametrize("integrand", [ncv.DirectLight(), ncv.AmbientOcclusion()], ids=["direct", "ao"])
+def test_the_next_batch_is_computed_while_rays_are_answered(
+    one_device, discrete, monkeypatch, integrand
+):
+    """It draws what one batch after the other does; copies of rays have a queue of their own."""
+    scene = ncv.load_scene(SCENES / "occluders.toml")
+    done, copies, call, copy = [], [], Kernel.__call__, cl.enqueue_copy
+    visible = RayRecorder.visible
+
+    def launched(kernel: Kernel, *items: object, **arguments: object) -> object:
+        done.append(kernel.name)
+        return call(kernel, *items, **arguments)
+
+    def answered(tracer: RayRecorder, *arguments: object) -> None:
+        done.append("answer")
+        visible(tracer, *arguments)
+
+    def copied(queue: cl.CommandQueue, *arguments: object, **options: object) -> cl.Event:
+        copies.append(queue)
+        return copy(queue, *arguments, **options)
+
+    drawn = []
+    for device in (one_device, discrete):
+        points, source, _ = sampling(device, scene, integrand, (12, 9), 64)
+        parts = [(range(a, min(a + 20, points.active)), range(64)) for a in range(0, points.active, 20)]
+        with monkeypatch.context() as patch:
+            patch.setattr(Kernel, "__call__", launched)
+            patch.setattr(RayRecorder, "visible", answered)
+            patch.setattr(cl, "enqueue_copy", copied)
+            done.clear(), copies.clear()
+            batches = source.drawn(parts, 0)
+            drawn.append([shadowed_values(batch, integrand.channels) for batch in batches])
+    for alone, overlapped in zip(*drawn, strict=True):
+        assert np.array_equal(alone, overlapped)
+    number = len(parts)
+    assert number > 3
+    assert done == ["draw_samples"] + ["draw_samples", "answer"] * (number - 1) + ["answer"]
+    # Count, origins, directions, distances and answers; all else is the test's own.
+    assert copies.count(copy_queue(discrete)) >= 4 * number
+
+
+@pytest.mark.parametrize("method", ["mc", "ncv"])
+@pytest.mark.parametrize(("scene", "integrand"), [("cornell_box", "direct"), ("occluders", "ao")])
+def test_passes_by_lines_move_nothing_but_statistics(discrete, monkeypatch, scene, integrand, method):
+    """Bytes between host and device that four times as many samples add."""
+    copy, sizes = cl.enqueue_copy, []
+
+    def noted(queue: cl.CommandQueue, to: object, of: object, **options: object) -> cl.Event:
+        sizes.append((to if isinstance(to, np.ndarray) else of).nbytes)
+        return copy(queue, to, of, **options)
+
+    monkeypatch.setattr(cl, "enqueue_copy", noted)
+    totals = []
+    for spp in (256, 1024):
+        sizes.clear()
+        image = ncv.render(
+            SCENES / f"{scene}.toml", integrand, method, device=discrete, size=(12, 8), spp=spp,
+            seed=1, visibility="lines", rays="device", **({"train_spp": 8} if method == "ncv" else {}),
+        )  # fmt: skip
+        totals.append(sum(sizes))
+    points, quantities = image.stats["points"], 1 + (method == "ncv")
+    channels = 3 if integrand == "direct" else 1
+    sums = 4 * points * quantities * channels * STATE.size
+    # Means of two estimates are compared after one, two, four and eight passes.
+    assert totals[1] - totals[0] <= 4 * sums + 1024
+    assert (totals[1] - totals[0]) / (768 * points) < 0.2

@@ -13,7 +13,7 @@ from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
-from .environment import environment_seen, has_environment, has_image
+from .environment import environment_seen, has_environment, has_image, surroundings
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
@@ -155,12 +155,12 @@ def dark_records(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     level = np.where(one_sided, np.sum(side * bounds.corner, axis=1), -1.0)
     corners = bounds.corners.transpose(1, 0, 2).reshape(-1, 12)
     lights = DARK_LIGHT.pack(corners=corners, reach=bounds.reach, side=side, level=level)
-    suns = scene.environment.suns if has_environment(scene) else ()
+    suns = surroundings(scene).suns if has_environment(scene) else ()
     records = [DARK_SUN.pack(towards=sun.towards, least=-np.sin(sun.half_angle) - 1e-6) for sun in suns]
     return lights, np.array(records).reshape(-1, DARK_SUN.size)
 
 
-def scattering_defines(scene: Scene) -> dict[str, int]:
+def scattering_defines(scene: Scene) -> dict[str, int | str]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
     return {
         "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),

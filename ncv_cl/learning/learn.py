@@ -64,12 +64,12 @@ def learn(problem: Problem, settings: Settings, run: Run) -> Learned:
     With a time limit training ends after `TRAINING_SHARE` of it, with the rounds done until then.
     """
     if settings.guides:
-        problem.source.record_guide()
+        problem.paths.record_guide()
     learned = _fitted(problem, settings, run)
     if not settings.guides:
         return learned
     with run.watch("guide"):
-        return replace(learned, guide=problem.source.learn_guide())
+        return replace(learned, guide=problem.paths.learn_guide())
 
 
 def _fitted(problem: Problem, settings: Settings, run: Run) -> Learned:
@@ -141,9 +141,11 @@ class _Learning:
             "rounds": done.number,
             "held_out": [left / plain if plain else 0.0 for _, left, plain in done.found],
         }
-        failed = done.network is None or _diverged(done.network, done.losses)
-        network = None if failed else done.network
-        samples = None if network is None else done.trainer.samples_of(network)
+        network, samples = done.network, None
+        if network is not None and _diverged(network, done.losses):
+            network = None
+        if network is not None and done.trainer is not None:
+            samples = done.trainer.samples_of(network)
         return Learned(accumulator.result(), network, samples, about)
 
     def _rounds(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
@@ -170,7 +172,8 @@ class _Learning:
                 return
             following = budget.rounds[number]
             seconds = (time.perf_counter() - began) * following.count / current.count
-            traced = (source.rays.traced - rays) / (done.used + budget.held_out.count)
+            besides = 0 if budget.held_out is None else budget.held_out.count
+            traced = (source.rays.traced - rays) / (done.used + besides)
             in_time = seconds < self.run.clock.left(TRAINING_SHARE)
             if not (in_time and self._pays(done.found, slower, following, traced)):
                 return

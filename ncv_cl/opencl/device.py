@@ -12,8 +12,7 @@ from typing import TypeVar
 
 import pyopencl as cl
 
-from .errors import DeviceError
-from .limits import DeviceMemory
+from .limits import DeviceError, DeviceMemory
 from .runtimes import loaded_elsewhere, platforms
 
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA) that does
@@ -118,9 +117,10 @@ class Device:
     vector_width: int = 1
     lanes: int = 1
     use_fma: bool = True
-    memory: DeviceMemory = field(repr=False, default=None)
-    _context: cl.Context = field(repr=False, default=None)
-    _queue: cl.CommandQueue = field(repr=False, default=None)
+    # A device that is only listed needs none of these; whoever asks for one has opened it.
+    memory: DeviceMemory = field(repr=False, default=None)  # type: ignore[assignment]
+    _context: cl.Context = field(repr=False, default=None)  # type: ignore[assignment]
+    _queue: cl.CommandQueue = field(repr=False, default=None)  # type: ignore[assignment]
 
     @property
     def context(self) -> cl.Context:

@@ -123,19 +123,19 @@ def resolve_image(
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
     emitted = emitted_light(scene, integrand, points)
-    emitted = emitted.T if emitted.any() else None
+    emits = emitted.any()
     beyond = _background(scene, settings, points)
     pixels, pixel_variance = (np.empty((grid.height, grid.width, 3), np.float32) for _ in range(2))
     for channel in range(3):
         # Of one channel all three are the same number.
-        own = channel % len(mean)
-        plane = grid.mean(mean[own], active)
-        if emitted is not None:
-            plane += grid.mean(emitted[channel], everything)
+        row = channel % len(mean)
+        plane = grid.mean(mean[row], active)
+        if emits:
+            plane += grid.mean(emitted[:, channel], everything)
         if beyond is not None:
             plane += grid.mean_of_cells(beyond[1][:, channel], beyond[0])
         pixels[..., channel] = plane
-        pixel_variance[..., channel] = grid.variance_of_mean(variance[own], active)
+        pixel_variance[..., channel] = grid.variance_of_mean(variance[row], active)
     del emitted, beyond
     surface, layers = points.surface, {}
     for layer, name in (("albedo", "albedo"), ("N", "normal")):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..opencl.device import GROUP_SIZE, Device
+from ..opencl.kernel import Kernel
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray, Window
 from ..opencl.program import Program, build
@@ -247,7 +248,8 @@ def find_points(
     active = len(hit) if every else int(np.count_nonzero(light < 0))
     cell = (hit + cells.start).astype(np.uint32)
     # Large images: only what is needed is kept.
-    hits = (hits.triangle[hit], hits.u[hit], hits.v[hit])
+    triangle, u, v = hits.triangle[hit], hits.u[hit], hits.v[hit]
+    del hits
     background = len(cells) - len(cell)
 
     surface = HostArray(device, (SURFACE.size, len(cell)), np.float32)
@@ -258,9 +260,9 @@ def find_points(
         rows=rows,
         total_points=len(cell),
         cells=HostArray.of(device, cell),
-        hit_triangle=HostArray.of(device, hits[0].astype(np.uint32)),
-        hit_u=HostArray.of(device, hits[1]),
-        hit_v=HostArray.of(device, hits[2]),
+        hit_triangle=HostArray.of(device, triangle.astype(np.uint32)),
+        hit_u=HostArray.of(device, u),
+        hit_v=HostArray.of(device, v),
         vertices=HostArray.of(device, scene.vertices),
         vertex_normals=HostArray.of(device, scene.vertex_normals),
         triangles=HostArray.of(device, scene.triangles),
@@ -269,22 +271,24 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
-    emission_factor = _vary(surface, scene, *hits) if varies(scene) else None
-    material = scene.triangle_material[hits[0]]
+    emission_factor = _vary(surface, scene, triangle, u, v) if varies(scene) else None
+    material = scene.triangle_material[triangle]
     return ShadingPoints(
         surface, cell, light, active, background, 0, material, scene.origin, emission_factor
     )
 
 
-def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> np.ndarray:
+def _vary(
+    surface: HostArray, scene: Scene, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
     """Put in what textures and colours of vertices make of hits, as `surface_at` takes them.
 
     Returns `ShadingPoints.emission_factor`.
     """
-    factor = vary_colours(surface, surface_at(scene, *hits))
+    factor = vary_colours(surface, surface_at(scene, triangle, u, v))
     outgoing = surface.read(window=surface_window(surface, "outgoing")).T
     with surface.mapped(update=True, window=surface_window(surface, "normal")) as normal:
-        normal[...] = bent_normals(scene, *hits, normal.T, outgoing).T
+        normal[...] = bent_normals(scene, triangle, u, v, normal.T, outgoing).T
     return factor
 
 
@@ -296,7 +300,15 @@ def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
     return found.emission_factor.astype(np.float32)
 
 
-def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int, cells: range) -> Hits:
+def _trace_camera(
+    device: Device,
+    tracer: Tracer,
+    camera_rays: Kernel,
+    camera: HostArray,
+    columns: int,
+    rows: int,
+    cells: range,
+) -> Hits:
     batch = device.memory.fitting(min(CAMERA_RAYS_PER_BATCH, len(cells)), CAMERA_RAY_BYTES)
     origins = HostArray(device, (batch, 3), np.float32, streams=True)
     directions = HostArray(device, (batch, 3), np.float32, streams=True)

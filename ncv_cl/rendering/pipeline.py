@@ -97,7 +97,8 @@ def estimate_integrals(
     resumed = keep.resumed
     if resumed is not None:
         plan = Plan(settings.planned(resumed.method), "as it was begun")
-        check_memory(problem, plan.settings, resumed.network and resumed.network.description)
+        kept = resumed.network
+        check_memory(problem, plan.settings, None if kept is None else kept.description)
         before = _resumed(problem, plan.settings, resumed)
     else:
         wanted = given is not None or keep.network is not None
@@ -147,7 +148,7 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
     if given is not None:
         given.network.check_fits(settings.integrand.channels, problem.inputs)
         if given.guide is not None and settings.guides:
-            problem.source.use_guide(given.guide)
+            problem.paths.use_guide(given.guide)
         return Before(given, guide=given.guide)
     learned = learn(problem, settings, run)
     trained = None
@@ -160,7 +161,7 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
     """The same from a checkpoint."""
     resumed.check_arrays(settings.integrand.channels, problem.points.active, settings.needs_magnitude)
     if resumed.guide is not None:
-        problem.source.use_guide(resumed.guide)
+        problem.paths.use_guide(resumed.guide)
     trained = None
     if resumed.network is not None:
         trained = Trained(resumed.network, resumed.density_network, resumed.alpha)
@@ -208,7 +209,8 @@ def _drawn(
     image_estimate = begin(problem, settings, run, variate, allocation, done)
     if resumed is not None:
         resumed.image.give_back(image_estimate)
-    share = variate.density.uniform_share if variate and image_estimate.follows_density else 1.0
+    density = variate.density if variate and image_estimate.follows_density else None
+    share = 1.0 if density is None else density.uniform_share
     target = ErrorTarget(settings.stopping.target_mse, problem.narrowest, share)
 
     def after_pass() -> None:

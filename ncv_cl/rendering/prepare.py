@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..estimation.direct import direct_samples
+from ..estimation.method import noise_that_stays
 from ..host.clock import Stopwatch
 from ..integrands import Integrand
 from ..integrands.emitted import emitted_light
@@ -133,8 +134,9 @@ def assemble(
     decisions = Decisions(occluders.longest if occluders else None, lines, slices is not None, split)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
     apart, rest = None, integrand
-    if split:
-        direct, rest = integrand.apart(scene)
+    parts = integrand.apart(scene) if split else None
+    if parts is not None:
+        direct, rest = parts
         lit = _lit(scene, settings, direct, points)
         own = SampleSource(device, scene, tracer, points, direct, *common, occluders, lines=lines)
         # Paths have no rays to test then.
@@ -167,6 +169,7 @@ def assemble(
         apart=apart,
         slices=choice,
         decisions=decisions,
+        no_network=noise_that_stays(scene, integrand, points) if settings.method == "auto" else None,
     )
 
 
@@ -251,7 +254,8 @@ def _splits(scene: Scene, settings: Settings, points: ShadingPoints, lines: bool
 def _lit(scene: Scene, settings: Settings, direct: Integrand, points: ShadingPoints) -> np.ndarray:
     """The points that direct light can reach, uint32."""
     lit = np.arange(points.active, dtype=np.uint32)
-    return lit[~direct.dark(scene, points)] if settings.sampling.skip_dark else lit
+    dark = direct.dark(scene, points) if settings.sampling.skip_dark else None
+    return lit if dark is None else lit[~dark]
 
 
 def _slices(

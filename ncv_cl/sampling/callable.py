@@ -8,6 +8,7 @@ import numpy as np
 
 from ..integrands import Integrand, IntegrandError
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray, Window
 from ..opencl.program import build
 from ..points.points import SURFACE, ShadingPoints
@@ -41,7 +42,7 @@ class HostIntegrand(Integrand):
     def data(self, scene: Scene) -> np.ndarray:
         return np.empty(0, np.float32)
 
-    def defines(self, scene: Scene) -> dict[str, int]:
+    def defines(self, scene: Scene) -> dict[str, int | str]:
         return {"CHANNELS": self.channels}
 
 
@@ -80,7 +81,7 @@ class CallableSource(Batches):
         super().__init__(device, points, channels, SAMPLES_A_PASS)
         self.function = function
         self._seed = seed_words(seed)
-        self._defines = {
+        self._defines: dict[str, int | str] = {
             **sampler_defines(sampler),
             **ray_defines(),
         }
@@ -131,7 +132,9 @@ class CallableSource(Batches):
     ) -> tuple[np.ndarray, HostArray | None]:
         """f less the constant, float64 (points, samples, channels), and with a density the weights."""
         stride = self._stride_of(len(samples))
-        warp, files, defines = {}, (), {}
+        warp: Arguments = {}
+        files: tuple[str, ...] = ()
+        defines: dict[str, int | str] = {}
         if density is not None:
             warp = {"density": density.records(order, points), "weight": self._room.weight}
             files, defines = density.files, density.defines

@@ -15,6 +15,7 @@ from ..points.points import ShadingPoints
 from ..settings.settings import Settings
 from ..visibility.rays import RayCount
 from ..visibility.slices import SliceChoice
+from .paths import PathSource
 from .samples import Batches
 
 
@@ -86,6 +87,8 @@ class Problem:
         was looked into.
     decisions : Decisions
         How samples are drawn, decided by what was seen of all points.
+    no_network : str, optional
+        Why a network pays for no number of samples, in words, where that is known of the scene.
     carrier : object, optional
         Draws passes on other machines (`rendering.carried.carrier.Carrier`).
     """
@@ -102,6 +105,7 @@ class Problem:
     apart: Apart | None = None
     slices: SliceChoice | None = None
     decisions: Decisions = field(default_factory=lambda: Decisions())
+    no_network: str | None = None
     carrier: Any = None
 
     @property
@@ -137,6 +141,13 @@ class Problem:
         """The rays of all samples so far."""
         own = self.source.rays
         return own if self.apart is None else own + self.apart.source.rays
+
+    @property
+    def paths(self) -> PathSource:
+        """`source`, where it draws paths, which can be guided."""
+        if not isinstance(self.source, PathSource):
+            raise TypeError(f"a {type(self.source).__name__} has no paths to guide")
+        return self.source
 
     def factor(self, demodulated: bool) -> HostArray | None:
         """The factor of a demodulated network's output: `means`; None for others."""

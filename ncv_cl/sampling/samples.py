@@ -9,6 +9,7 @@ import numpy as np
 
 from ..integrands import Integrand
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.groups import Groups
@@ -117,6 +118,21 @@ class Batches:
         self.points, self.rays = points, RayCount()
         self._every_point = HostArray.of(self.device, np.arange(points.active, dtype=np.uint32))
 
+    def unshadowed_means(self) -> HostArray:
+        """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
+        raise NotImplementedError
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+    ) -> Batch:
+        """Samples of points order[i], i in `points`, by `density`; valid until the next call."""
+        raise NotImplementedError
+
     def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, where samples follow a density of this kind; none by default.
 
@@ -209,7 +225,7 @@ class SampleSource(Batches):
         sees_through = scene.has_panes and integrand.promises("to_lights")
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))
-        defines = {
+        defines: dict[str, int | str] = {
             **surface_defines(),
             **sampler_defines(sampler),
             **integrand.defines(scene),
@@ -222,7 +238,7 @@ class SampleSource(Batches):
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
-        self._occluders: dict[str, object] = {}
+        self._occluders: Arguments = {}
         self._lines = lines
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
@@ -339,7 +355,8 @@ class SampleSource(Batches):
         count = len(samples)
         stride = self._stride_of(count)
         rays.begin()
-        program, warp = self._program, {}
+        program = self._program
+        warp: Arguments = {}
         if density is not None:
             files = (*self._warped_files, *density.files, "samples")
             program = build(self.device, files, self._warped_defines | density.defines)

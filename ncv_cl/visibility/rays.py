@@ -9,6 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.trace import Tracer
@@ -55,16 +56,14 @@ class RayCount:
         self.skipped += samples - traced - on_device
 
 
-class HostRays:
-    """Memory for a batch's rays, as samples.cl appends them, which the host answers.
+class ShadowRays:
+    """Memory for a batch's rays, as samples.cl appends them.
 
     Parameters
     ----------
-    device, tracer
+    device
     capacity : int
         Most rays.
-    sees_through : bool
-        Whether rays pass panes, which dim them.
 
     Attributes
     ----------
@@ -79,11 +78,8 @@ class HostRays:
     runs_ahead = False
     streams = True
 
-    def __init__(
-        self, device: Device, tracer: Tracer, capacity: int, sees_through: bool = False
-    ) -> None:
-        self._device, self._tracer, self._sees_through = device, tracer, sees_through
-        self.arguments = {
+    def __init__(self, device: Device, capacity: int) -> None:
+        self.arguments: Arguments = {
             "origins": HostArray(device, (capacity, 3), np.float32, self.streams),
             "directions": HostArray(device, (capacity, 3), np.float32, self.streams),
             "distances": HostArray(device, capacity, np.float32, self.streams),
@@ -102,6 +98,22 @@ class HostRays:
         With `drawn`, the event of the kernel that made them, what comes after it is not waited for.
         Returns what panes let through of each, float32 (rays, 3), where rays pass them.
         """
+        raise NotImplementedError
+
+    def collect(self, count: RayCount) -> None:
+        """Count what `answer` has left for later."""
+
+
+class HostRays(ShadowRays):
+    """Rays that the host answers; `sees_through`: they pass panes, which dim them."""
+
+    def __init__(self, device: Device, tracer: Tracer, capacity: int, sees_through: bool) -> None:
+        super().__init__(device, capacity)
+        self._tracer, self._sees_through = tracer, sees_through
+
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> np.ndarray | None:
         with self.arguments["ray_count"].mapped(after=drawn) as counts:
             counted = counts.tolist()
         rays = counted[0]
@@ -122,18 +134,16 @@ class HostRays:
         count.add(counted, samples)
         return let_through
 
-    def collect(self, count: RayCount) -> None:
-        """Count what `answer` has left for later."""
 
-
-class DeviceRays(HostRays):
-    """The same answered by a kernel: how many there are stays on the device until somebody asks."""
+class DeviceRays(ShadowRays):
+    """Rays that a kernel answers: how many there are stays on the device until somebody asks."""
 
     runs_ahead = True
     streams = False
 
     def __init__(self, device: Device, tracer: DeviceTracer, capacity: int) -> None:
-        super().__init__(device, tracer, capacity)
+        super().__init__(device, capacity)
+        self._tracer = tracer
         files = ("common", "trace", "shadow_rays")
         self._program = build(device, files, tracer.defines())
         self._totals = HostArray(device, COUNTS, np.uint64)
@@ -158,8 +168,8 @@ class DeviceRays(HostRays):
 
 def shadow_rays(
     device: Device, tracer: Tracer | DeviceTracer, capacity: int, sees_through: bool
-) -> HostRays:
-    """Memory for at most `capacity` rays of a batch, whoever traces them; see `HostRays`."""
+) -> ShadowRays:
+    """Memory for at most `capacity` rays of a batch, whoever traces them."""
     if isinstance(tracer, DeviceTracer):
         return DeviceRays(device, tracer, capacity)
     return HostRays(device, tracer, capacity, sees_through)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
@@ -59,9 +60,14 @@ class SliceChoice:
 
 
 def boxes_pay(triangles: int, points: int, spp: int) -> bool:
-    """Whether there are enough samples for slices to be looked into: boxes take time to build."""
+    """Whether there are enough samples for slices to be looked into.
+
+    Boxes take time to build. And what slices cost takes time to count, which is spared where as many
+    samples as are asked for never buy enough slices.
+    """
     enough = tuning.SAMPLES_A_TRIANGLE * triangles
-    return spp >= tuning.FEWEST_SLICES and points * spp >= enough
+    least = tuning.LEAST_RAYS_OF_MANY if triangles > tuning.MANY_TRIANGLES else 1.0
+    return spp >= tuning.FEWEST_SLICES * least and points * spp >= enough
 
 
 def slices_for(rays: int, cost: SliceCost, sampler: str) -> int:
@@ -108,7 +114,7 @@ class Slices:
         hierarchy = hierarchy or Hierarchy(device, scene)
         self._device = device
         self._levels = hierarchy.levels.shape[0]
-        self.arguments = {
+        self.arguments: Arguments = {
             "unit": 1 / hierarchy.extent,
             "levels": hierarchy.levels,
             "boxes": hierarchy.boxes,
