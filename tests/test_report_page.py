@@ -131,6 +131,7 @@ def test_every_question_is_asked_and_every_part_answers_one(built):
     _, html, text = built
     titles = re.findall(r"^## (.*)$", text, flags=re.MULTILINE)
     assert titles[:-2] == [question.title for question in QUESTIONS]
+    assert all(part.path.exists() for part in PARTS.values())
     assert set(PARTS) == {part for question in QUESTIONS for part in question.parts}
     assert all(f">{title}</a>" in html for title in titles)
 

@@ -242,7 +242,8 @@ def auto(found: Results) -> Answer:
             "1 is as good as knowing beforehand.",
         )
         table = [
-            [label(r), r["spp"], r["method"], r["better"], r["ratio"], r.get("spread")] for r in rows
+            [label(r), r["spp"], r.get("chosen", r["method"]), r["better"], r["ratio"], r.get("spread")]
+            for r in rows
         ]
         columns = ["image", "SPP", "auto took", "best", "ratio", "longest run / shortest"]
         answer.table = Table(columns, table, "Scenes held out")
