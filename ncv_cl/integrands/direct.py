@@ -13,7 +13,7 @@ from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
-from .environment import environment_seen, has_environment, has_image
+from .environment import environment_seen, has_environment, has_image, surroundings
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 

@@ -53,3 +53,8 @@ FEWEST_SLICES = 8
 MOST_REFUSED = 2.0
 MOST_RAYS_A_SLICE = 3.0
 SAMPLES_A_TRIANGLE = 64
+# Where there are more than so many triangles a slice takes the time of so many rays at least, of 3.1 to
+# 7.4 in rooms, on hills and among leaves, and is not looked at where so dear ones are too few: python
+# bench/bench_slices.py cost, python bench/bench_tuning.py MANY_TRIANGLES LEAST_RAYS_OF_MANY.
+MANY_TRIANGLES = 128
+LEAST_RAYS_OF_MANY = 3.0
