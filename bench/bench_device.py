@@ -1,14 +1,16 @@
-"""One device: every kernel against its reference, then what each stage costs, in which shape.
+"""One device: every kernel against its reference, what each stage costs, and what the model said.
 
 Runs unattended and without network, from a checkout: `tests/` holds the references. Besides what the
 package requires it needs pytest, scipy, hypothesis and gmpy2; a check whose needs are missing fails by
-name, and the rest goes on. For a machine without network fetch the wheels of all of them elsewhere, by
-``pip download -d wheels '.[test]'``, and there ``pip install --no-index --find-links wheels '.[test]'``.
+name, and the rest goes on. `bench/carry.sh` fetches the wheels of all of them for a machine without
+network (docs/devices.md). It takes less than eight minutes: what has not begun by then is left out and
+named. The file of results is written after each part, so that a run that is ended leaves what was done.
 
-Stages are timed on the scenes, in medians of a few renders after one that compiles. The sweep takes VEC
-and LANES that suit the kind of device through all stages of a control variate, and inference through
-sizes of the work-group. Seconds are those of whole stages, so on a GPU they include what copying and
-waiting for the host cost.
+The paper model's cases are rendered with launches, waits and bytes counted and kernels timed, beside the
+device's peak and the model's prediction (`device_stages`). Stages of further renders are timed, in
+medians of a few after one that compiles. The sweep takes VEC and LANES that suit the kind of device
+through all stages of a control variate, and inference through sizes of the work-group. Seconds are those
+of whole stages, so on a GPU they include what copying and waiting for the host cost.
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+import device_stages
 import numpy as np
 from device_checks import SCENES, validate
 
@@ -42,36 +46,81 @@ WORK_GROUPS = (16, 32, 64, 128, 256)
 POINTS, SAMPLES = 1024, 256
 
 
+# Seconds after which no further part begins.
+LIMIT = 420.0
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer checks, small images, one repeat")
     parser.add_argument("--json", metavar="FILE", help="write the results here")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    parser.add_argument(
+        "--gpu-shape", action="store_true", help="kernels in the shape of a GPU, to rehearse on a CPU"
+    )
     options = parser.parse_args(argv)
-    report = run(options.quick, options.device)
-    if options.json:
-        Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    device = choose_device(options.device)
+    if options.gpu_shape:
+        device = open_device(device.cl_device, device.index, 1, GPU_LANES)
+
+    def save(report: dict) -> None:
+        if options.json:
+            Path(options.json).write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+    report = run(options.quick, device, save)
     return 0 if report["valid"] else 1
 
 
-def run(quick: bool, device: Device | int | str | None = None) -> dict:
-    """Validate, then time; `valid` says whether every kernel was launched and met its reference."""
+def run(
+    quick: bool,
+    device: Device | int | str | None = None,
+    save: Callable[[dict], None] = lambda report: None,
+) -> dict:
+    """Validate, then time.
+
+    Parameters
+    ----------
+    save : callable
+        Gets the report after each part.
+
+    Returns
+    -------
+    dict
+        `valid` says whether every kernel was launched and met its reference, `left_out` for what there
+        was no time.
+    """
     device = choose_device(device)
     begun = time.perf_counter()
-    report = describe(device)
+    report = describe(device) | {"left_out": []}
     print(device.describe(), flush=True)
+
+    def part(name: str, measure: Callable[[], object]) -> None:
+        if time.perf_counter() - begun > LIMIT:
+            report["left_out"].append(name)
+            return
+        report[name] = measure()
+        report["seconds"] = time.perf_counter() - begun
+        save(report)
+
     outcomes, unreached = validate(device, quick)
     report["checks"] = [asdict(outcome) for outcome in outcomes]
     report["unreached_kernels"] = unreached
     report["valid"] = not unreached and not any(outcome.error for outcome in outcomes)
-    report["stages"] = [stages(device, *case, quick) for case in CASES]
-    report["shapes"] = [
-        shape_row(device, *shape, quick) for shape in shapes(device)[: 2 if quick else None]
-    ]
-    report["work_groups"] = work_groups(device, quick)
-    report["seconds"] = time.perf_counter() - begun
+    part("peaks", lambda: device_stages.peaks(device))
+    part("model", lambda: device_stages.beside_model(device, report["peaks"], quick))
+    part("stages", lambda: [stages(device, *case, quick) for case in CASES])
+    part("work_groups", lambda: work_groups(device, quick))
+    part("shapes", lambda: _shapes(device, quick, begun))
     show(report)
     return report
+
+
+def _shapes(device: Device, quick: bool, begun: float) -> list[dict]:
+    rows = []
+    for shape in shapes(device)[: 2 if quick else None]:
+        if time.perf_counter() - begun < LIMIT:
+            rows.append(shape_row(device, *shape, quick))
+    return rows
 
 
 def describe(device: Device) -> dict:
@@ -202,20 +251,25 @@ def show(report: dict) -> None:
         print(f"  {check['subject']:18} {name:60} {check['seconds']:6.2f} s  {verdict}")
     if report["unreached_kernels"]:
         print(f"  kernels that no check launched: {', '.join(report['unreached_kernels'])}")
+    if "model" in report:
+        device_stages.show(report["model"], report["peaks"])
     print("stages")
-    for row in report["stages"]:
+    for row in report.get("stages", ()):
         print(
             f"  {row['scene']} {row['integrand']} {row['method']}, {row['points']} points: " + _line(row)
         )
     print("shapes (VEC samples a work-item, LANES work-items a point; cornell_box direct ncv)")
-    for row in report["shapes"]:
+    for row in report.get("shapes", ()):
         name = f"VEC {row['vec']:2} LANES {row['lanes']:3}"
         if "error" in row:
             print(f"  {name}  {row['error']}")
         else:
             print(f"  {name}  inference {row['inference_ns']:.2f} ns a sample; " + _line(row))
-    groups = ", ".join(f"{row['group']}: {row['inference_ns']:.2f}" for row in report["work_groups"])
+    rows = report.get("work_groups", ())
+    groups = ", ".join(f"{row['group']}: {row['inference_ns']:.2f}" for row in rows)
     print(f"work-groups, nanoseconds of inference a sample: {groups}")
+    if report["left_out"]:
+        print(f"no time was left for: {', '.join(report['left_out'])}")
     verdict = "every kernel meets its reference" if report["valid"] else "NOT VALID"
     print(f"{verdict}; {report['seconds']:.0f} s in all")
 

@@ -5,8 +5,10 @@ control variate needs: independent samples (their error is exactly the variance 
 short render tells), Sobol points, and Sobol points with samples allocated by a pilot; and `auto`.
 
 Mean square errors are halved squared differences of two renders with different seeds: no reference is
-needed, and none can be the worse of the two. Seconds are the lesser of the two renders'. Before anything
-is timed, plain Monte Carlo and the control variate are tested to agree.
+needed, and none can be the worse of the two. Relative ones are over the square of the pixel's value,
+with a floor (`references.relative_weight`): dark pixels count as much as bright ones. Seconds are the
+lesser of the two renders'. Before anything is timed, plain Monte Carlo and the control variate are
+tested to agree.
 """
 
 from __future__ import annotations
@@ -16,16 +18,18 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from bench_curves import AUTO, DEFAULT, INDEPENDENT, METHODS, PILOT, SOBOL, stages
 from crossover import Curve
-from references import z_test
+from references import relative_weight, z_test
 from training import CASES, SCENES
 
 import ncv_cl as ncv
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 
+# The control variate with samples where the error is largest over the pixel's value.
+RELATIVE = "NCV, relative"
+RELATIVE_OPTIONS = {"method": "ncv", "allocation": "relative"}
 # Samples of the short render with independent samples, and of those that must agree.
 FEW = 64
 
@@ -37,30 +41,31 @@ class Plan:
     size: int
     targets: tuple[int, ...]
     ours: tuple[int, ...]
+    cases: tuple[tuple[str, str], ...] = CASES
 
 
-FULL = Plan(512, (128, 256, 1024), (16, 64, 256, 1024))
-QUICK = Plan(64, (32, 128), (8, 32, 128))
+FULL = Plan(256, (128, 1024), (16, 64, 256, 1024))
+QUICK = Plan(48, (32, 64), (8, 32), CASES[1:2])
 
 
 def measure(device: Device, scene_name: str, integrand: str, plan: Plan) -> dict:
     """All curves of one case, and the table made of them."""
     scene = ncv.load_scene(SCENES / f"{scene_name}.toml")
-    size = (plan.size, plan.size)
+    size, ways = (plan.size, plan.size), METHODS | {RELATIVE: RELATIVE_OPTIONS}
 
     def render(method: str, spp: int, seed: int) -> ncv.Image:
-        return ncv.render(
-            scene, integrand, spp=spp, size=size, seed=seed, device=device, **METHODS[method]
-        )
+        return ncv.render(scene, integrand, spp=spp, size=size, seed=seed, device=device, **ways[method])
 
     def point(method: str, spp: int) -> dict:
         first, second = (render(method, spp, seed) for seed in (1, 2))
         shorter = min(first, second, key=lambda image: image.stats["seconds"]["total"])
-        difference = first.pixels.astype(float) - second.pixels
+        a, b = first.pixels.astype(float), second.pixels.astype(float)
+        squares = (a - b) ** 2 / 2
         return {
             "spp": spp,
             "seconds": shorter.stats["seconds"]["total"],
-            "mse": float(np.mean(difference**2)) / 2,
+            "mse": float(squares.mean()),
+            "relmse": float((squares * relative_weight((a + b) / 2)).mean()),
             "method": shorter.stats["method"],
             "stages": stages(shorter.stats["seconds"]),
         }
@@ -69,13 +74,19 @@ def measure(device: Device, scene_name: str, integrand: str, plan: Plan) -> dict
     z, agree = z_test(plain.pixels, ours.pixels)
     if not agree:
         raise SystemExit(f"{scene_name} {integrand}: mc and ncv disagree by {z:.1f} deviations")
-    spps = {INDEPENDENT: (FEW,), DEFAULT: plan.ours}
+    spps = {INDEPENDENT: (FEW,), DEFAULT: plan.ours, RELATIVE: plan.ours}
     points = {
         name: [point(name, spp) for spp in spps.get(name, plan.targets)]
-        for name in (INDEPENDENT, SOBOL, PILOT, DEFAULT, AUTO)
+        for name in (INDEPENDENT, SOBOL, PILOT, DEFAULT, RELATIVE, AUTO)
     }
     curves = {name: Curve.of(rows) for name, rows in points.items()}
-    rows = [ratios(target, points, curves) for target in plan.targets]
+    relative = {
+        name: Curve.of([row | {"mse": row["relmse"]} for row in rows]) for name, rows in points.items()
+    }
+    rows = [
+        ratios(target, points, curves) | relative_ratios(target, points, relative)
+        for target in plan.targets
+    ]
     return {"scene": scene_name, "integrand": integrand, "rows": rows, "points": points}
 
 
@@ -94,6 +105,16 @@ def ratios(target: int, points: dict[str, list[dict]], curves: dict[str, Curve])
         f"{PILOT} / NCV": float(curves[PILOT].seconds_to(sobol["mse"])[0]) / ours,
         f"{SOBOL} / auto": float(curves[SOBOL].seconds_to(auto["mse"])[0]) / auto["seconds"],
         "auto chose": auto["method"],
+    }
+
+
+def relative_ratios(target: int, points: dict[str, list[dict]], curves: dict[str, Curve]) -> dict:
+    """The same to the relative error of `target` Sobol samples, by either allocation."""
+    (sobol,) = (row for row in points[SOBOL] if row["spp"] == target)
+    return {"relmse": sobol["relmse"]} | {
+        f"{SOBOL} / {name}, relative error": sobol["seconds"]
+        / float(curves[name].seconds_to(sobol["relmse"])[0])
+        for name in (DEFAULT, RELATIVE, AUTO)
     }
 
 
@@ -122,7 +143,7 @@ def main() -> None:
     device, plan = choose_device(options.device), QUICK if options.quick else FULL
     print(f"{device.identity}\n{plan.size} x {plan.size} points", flush=True)
     cases = []
-    for scene, integrand in CASES:
+    for scene, integrand in plan.cases:
         cases.append(measure(device, scene, integrand, plan))
         print(f"{scene} {integrand}")
         for row in cases[-1]["rows"]:

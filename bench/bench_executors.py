@@ -20,8 +20,8 @@ import numpy as np
 import ncv_cl as ncv
 
 SCENE = Path(__file__).parent.parent / "scenes" / "interior.toml"
-# About a minute of a core, and what takes seconds.
-FULL = {"size": (512, 512), "spp": 192}
+# Some ten seconds of a core, and what takes seconds.
+FULL = {"size": (256, 256), "spp": 96}
 QUICK = {"size": (64, 64), "spp": 64}
 
 

@@ -5,12 +5,13 @@ root mean square error against a picture of 12 × 12 points a pixel by the same 
 is noise, by the picture's own variance. Errors are those of display values, (x / (1 + x))^(1 / 2.2), so
 that no lamp counts for more than its edge shows.
 
-    python bench/bench_filters.py [--size 96 72] [--spp 64]
+    python bench/bench_filters.py [--size 64 48] [--spp 64] [--quick] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from pathlib import Path
 
@@ -39,8 +40,9 @@ def noise(image: ncv.Image) -> float:
     return float(np.sqrt(np.mean(slope**2 * image.variance)))
 
 
-def measure(scene: str, integrand: str, size: tuple[int, int], spp: int) -> None:
-    """Print a row for every number of points and filter."""
+def measure(scene: str, integrand: str, size: tuple[int, int], spp: int) -> list[dict]:
+    """Print and return a row for every number of points and filter."""
+    rows = []
     path = SCENES / f"{scene}.toml"
     base = {"method": "mc", "size": size}
     references = {
@@ -67,15 +69,28 @@ def measure(scene: str, integrand: str, size: tuple[int, int], spp: int) -> None
                 f"noise {np.mean(noises):.4f}",
                 flush=True,
             )
+            rows.append({
+                "scene": scene, "integrand": integrand, "supersample": side, "spp": own, "filter": name,
+                "processor_seconds": min(seconds), "error": float(np.sqrt(np.mean(errors))),
+                "noise": float(np.mean(noises)),
+            })  # fmt: skip
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, nargs=2, default=(96, 72))
+    parser.add_argument("--size", type=int, nargs=2, default=(64, 48))
     parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--quick", action="store_true", help="one scene, small")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     options = parser.parse_args()
-    for scene, integrand in CASES:
-        measure(scene, integrand, tuple(options.size), options.spp)
+    size, spp = ((12, 9), 16) if options.quick else (tuple(options.size), options.spp)
+    rows = []
+    for scene, integrand in CASES[:1] if options.quick else CASES:
+        rows += measure(scene, integrand, size, spp)
+    if options.json:
+        found = {"size": size, "spp": spp, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -263,7 +263,7 @@ def finding_table(case: Case) -> list[dict[str, float | str]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small images and few samples")
-    parser.add_argument("--size", type=int, help="pixels a side (default 256; quick: 32)")
+    parser.add_argument("--size", type=int, help="pixels a side (default 80; quick: 24)")
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument(
         "--times-only", action="store_true", help="throughput and seconds to equal error, nothing else"
@@ -272,7 +272,7 @@ def main() -> None:
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
     options = parser.parse_args()
     device = choose_device(options.device)
-    size = options.size or (32 if options.quick else 256)
+    size = options.size or (24 if options.quick else 80)
     spps = QUICK_SPPS if options.quick else SPPS
     print(f"{device.identity}\n{size} x {size} points")
     results = {}

@@ -10,9 +10,11 @@ beside that of Mitsuba 3: variances of independent samples, and both renderers' 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from mitsuba_scene import MitsubaScene, import_mitsuba
@@ -24,6 +26,8 @@ from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
 from ncv_cl.scene.load import Scene
 
+# Quick: pixels a side, samples, most lamps; and in full.
+QUICK, FULL = (16, 64, 9), (48, 64, 1000)
 SHIPPED = ("cornell_box", "interior", "occluders")
 LAMPS = (1, 2, 8, 9, 100, 1000)
 HALL = """
@@ -124,10 +128,12 @@ def main() -> None:
     parser.add_argument("--equal", type=float, nargs="+", help="parts that all lights share alike")
     parser.add_argument("--mitsuba", action="store_true", help="halls only, beside Mitsuba 3")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     options = parser.parse_args()
     device = choose_device(options.device)
-    side, spp, most = (24, 32, 100) if options.quick else (64, 256, 1000)
+    side, spp, most = QUICK if options.quick else FULL
     print(f"{device.identity}\n{side} x {side} pixels, {spp} samples")
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         if options.mitsuba:
             for lamps in (one for one in LAMPS if one <= most):
@@ -138,17 +144,23 @@ def main() -> None:
             return
         for part in options.equal or (tuning.EQUAL_PART,):
             tuning.EQUAL_PART = part
-            scenes = [ncv.load_scene(SCENES / f"{name}.toml") for name in SHIPPED]
+            shipped = SHIPPED[:1] if options.quick else SHIPPED
+            scenes = [ncv.load_scene(SCENES / f"{name}.toml") for name in shipped]
             scenes += [hall(lamps, folder) for lamps in LAMPS if lamps <= most]
             for scene in scenes:
                 for integrand in ("direct", "gi"):
                     row = measure(device, scene, integrand, side, spp)
+                    about = {"scene": scene.name, "integrand": integrand, "lights": len(scene.lights)}
+                    rows.append({**about, "equal_part": part, **row})
                     print(
                         f"equal part {part:5.3f}  {scene.name:12} {integrand:6}"
                         f" {len(scene.lights):4} lights: variance / mean^2 {row['variance']:8.3g},"
                         f" {row['ns']:6.1f} ns a sample, rows {row['rows']:5.2f} s",
                         flush=True,
                     )
+    if options.json:
+        found = {"device": device.identity, "size": side, "spp": spp, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

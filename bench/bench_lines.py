@@ -1,7 +1,7 @@
 """Direct light along lines against points: error by number, seconds to equal error, and tuned constants.
 
     python bench/bench_lines.py errors       mean square error by samples, and its exponent
-    python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points
+    python bench/bench_lines.py equal        seconds to the error of 1024 and 4096 Sobol points (default)
     python bench/bench_lines.py network      what a control variate takes off the error of few lines
     python bench/bench_lines.py constants    processor time a line by constants of visibility/tuning.py
     python bench/bench_lines.py large        scenes of many triangles: from how many samples lines pay
@@ -10,12 +10,13 @@
 Renders are timed by turns; of wall clock and processor seconds the medians count. The reference is made
 of 8192 lines, and is compared with 4096 points that embree traced before anything is measured; in large
 scenes of 1024 and 512. Of these are the shipped ones whose triangles are cut, and mesh files on a plane
-(--meshes).
+(--meshes). `--quick` and `--json` are those of `equal`, the only one whose numbers the report shows.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import tempfile
 import time
@@ -74,14 +75,20 @@ CONSTANTS = {
 }
 
 
+# Points whose errors lines are to reach.
+TARGETS, QUICK_TARGETS = (1024, 4096), (64,)
+
+
 def errors(case: Case, seeds: int) -> None:
     for visibility in ("embree", "lines"):
         case.print_errors(visibility, NUMBERS, seeds)
 
 
-def equal(case: Case, rounds: int) -> None:
+def equal(case: Case, rounds: int, targets: tuple[int, ...] = TARGETS) -> list[dict]:
+    """Print and return a row for each number of points: lines to the same error, and seconds of both."""
     known: dict[int, float] = {}
-    for points in (1024, 4096):
+    rows = []
+    for points in targets:
         goal = case.error(case.render("points", points, 5))
         for number in LADDER:
             known.setdefault(number, case.error(case.render("lines", number, 5)))
@@ -104,6 +111,13 @@ def equal(case: Case, rounds: int) -> None:
             f"processor {processor:.2f} / {ours[1]:.2f} = {processor / ours[1]:.1f}"
         )
         print("    of lines:", {k: round(v, 3) for k, v in stages.items() if v >= 1e-3}, flush=True)
+        rows.append({
+            "scene": case.name, "points": points, "lines": number, "mse": goal,
+            "mse_of_lines": known[number], "processor_seconds": processor,
+            "processor_seconds_of_lines": ours[1], "ratio": processor / ours[1],
+            "ratio_of_wall_clock": wall / ours[0],
+        })  # fmt: skip
+    return rows
 
 
 def network(case: Case, seeds: int) -> None:
@@ -236,18 +250,20 @@ def large(name: str, scene: ncv.Scene, size: int, rounds: int) -> None:
 
 
 def main() -> None:
-    parts: dict[str, Callable[[Case, int], None]] = {
-        "errors": errors,
-        "equal": equal,
-        "network": network,
-    }
+    parts: dict[str, Callable[[Case, int], None]] = {"errors": errors, "network": network}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=(*parts, "constants", "large", "rates"))
+    every = ("equal", *parts, "constants", "large", "rates")
+    parser.add_argument("part", nargs="?", choices=every, default="equal")
     parser.add_argument("--scenes", nargs="+", default=NAMES)
     parser.add_argument("--meshes", nargs="*", type=Path, default=[], help="OBJ files for `large`")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed renders of each")
+    parser.add_argument("--quick", action="store_true", help="`equal` in one scene, small")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of `equal` here")
     options = parser.parse_args()
+    if options.part == "equal":
+        _equal(options)
+        return
     if options.part in ("constants", "rates"):
         {"constants": constants, "rates": rates}[options.part](options.size, options.rounds)
         return
@@ -257,6 +273,21 @@ def main() -> None:
         return
     for name in options.scenes:
         parts[options.part](Case(name, "direct", options.size, 8192), options.rounds)
+
+
+def _equal(options: argparse.Namespace) -> None:
+    names, size, rounds, reference = options.scenes, options.size, options.rounds, 8192
+    targets = QUICK_TARGETS if options.quick else TARGETS
+    if options.quick:
+        names, size, rounds, reference = NAMES[:1], 24, 1, 512
+    rows = [
+        row
+        for name in names
+        for row in equal(Case(name, "direct", size, reference, judged=reference // 2), rounds, targets)
+    ]
+    if options.json:
+        found = {"device": choose_device(None).identity, "size": size, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

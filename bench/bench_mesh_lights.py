@@ -6,16 +6,18 @@
 
 The scene is a room with a ring of light over its floor, or a sphere, beside a shelf. Of each the mean
 variance of pixels, processor seconds of the render (its second, so that kernels are compiled), their
-product, and the seconds before the first sample that lights take.
+product, and the seconds before the first sample that lights take. `--json` keeps the rows of the first.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -26,6 +28,8 @@ from ncv_cl.integrands import direct, light_sources
 from ncv_cl.integrands.lights import light_records
 
 SPP, SIZE = 64, (64, 48)
+# Of the sphere's triangles into four.
+SUBDIVISIONS, QUICK_SUBDIVISIONS = (1, 2, 3, 4, 5), (1,)
 
 
 def room(triangles: np.ndarray, reflectance: float = 0.0, roughness: float = 1.0) -> ncv.Scene:
@@ -91,12 +95,19 @@ def say(name: str, row: dict[str, float]) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", nargs="?", choices=("triangles", "strips", "lobes"), default="triangles")
-    what = parser.parse_args().what
+    parser.add_argument("--quick", action="store_true", help="of `triangles` one number")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of `triangles` here")
+    options = parser.parse_args()
+    what, rows = options.what, []
     if what == "triangles":
-        for subdivisions in (1, 2, 3, 4, 5):
-            scene = room(sphere(subdivisions))
+        for subdivisions in QUICK_SUBDIVISIONS if options.quick else SUBDIVISIONS:
+            scene, triangles = room(sphere(subdivisions)), 20 * 4**subdivisions
             for integrand in ("direct", "gi"):
-                say(f"sphere of {20 * 4**subdivisions}, {integrand}:", measured(scene, integrand))
+                row = measured(scene, integrand)
+                say(f"sphere of {triangles}, {integrand}:", row)
+                rows.append({"triangles": triangles, "integrand": integrand, **row})
+        if options.json:
+            options.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")
     elif what == "strips":
         for name, mesh in (("sphere", sphere(4)), ("ring", ring(12))):
             for strips in (1, 4, 16, 64, 256):

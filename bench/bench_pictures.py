@@ -1,4 +1,4 @@
-"""Picture strips at equal time: reference, plain Monte Carlo, control variate, and where each errs.
+"""Pictures at equal time: reference, plain Monte Carlo, control variate, and where each errs.
 
 The control variate renders with a number of samples; Sobol Monte Carlo gets as many as fit into the
 same seconds, found from the cost of a shorter render. Beside the pictures: absolute errors, and the
@@ -29,6 +29,8 @@ from matplotlib import pyplot
 
 # What a picture's brightest error is mapped to: this percentile of plain Monte Carlo's errors.
 PERCENTILE = 99.5
+# Behind pictures: grey, which suits a light page and a dark one.
+GROUND = "#6b6b6b"
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Plan:
 
 
 # The full run shares the references of the curves.
-PLANS = {False: Plan(FULL.size, 1024, FULL.reference_spp), True: Plan(96, 16, 2048)}
+PLANS = {False: Plan(FULL.size, 256, FULL.reference_spp), True: Plan(64, 16, 1024)}
 
 
 def run(device: Device, plan: Plan, cases: list[tuple[str, str]], folder: Path) -> dict:
@@ -88,34 +90,40 @@ def _strip(device: Device, name: str, integrand: str, plan: Plan, folder: Path) 
             "relmse": relmse,
             "flip": None if flip is None else float(flip.mean()),
         }
-    file = folder / f"pictures_{name}_{integrand}.png"
+    file = folder / f"pictures_{name}_{integrand}.jpg"
     draw(file, truth.pixels, {SOBOL: plain.pixels, DEFAULT: ours.pixels}, rows)
     return {"picture": file.name, "methods": rows}
 
 
 def draw(file: Path, truth: np.ndarray, images: dict[str, np.ndarray], rows: dict[str, dict]) -> None:
-    """One row of panels: the reference, the images, their errors and FLIP maps on common scales."""
+    """Rows of panels: reference and images, their errors, their FLIP maps; each row on one scale."""
     errors = {name: np.abs(pixels - truth).mean(axis=2) for name, pixels in images.items()}
     flips = {name: flip_map(truth, pixels) for name, pixels in images.items()}
-    panels: list[tuple[str, np.ndarray, dict]] = [("reference", shown(truth), {})]
+    table: list[list[tuple[str, np.ndarray | None, dict]]] = [[("reference", shown(truth), {})]]
     for name, pixels in images.items():
         row = rows[name]
         title = f"{name}\n{row['samples']:.0f} samples, {row['seconds']:.2f} s"
-        panels.append((title, shown(pixels), {}))
+        table[0].append((title, shown(pixels), {}))
     for what, maps in (("error", errors), ("FLIP", flips)):
         if any(one is None for one in maps.values()):
             continue
         top = max(float(np.percentile(maps[SOBOL], PERCENTILE)), 1e-12)
+        # Below the reference there is nothing.
+        table.append([("", None, {})])
         for name, one in maps.items():
             title = f"{what} of {name}\nmean {one.mean():.2e}, white {top:.1e}"
-            panels.append((title, one, {"cmap": "magma", "vmin": 0, "vmax": top}))
-    figure, axes = pyplot.subplots(1, len(panels), figsize=(2.2 * len(panels), 2.6))
-    for axis, (title, image, options) in zip(axes, panels, strict=True):
-        axis.imshow(image, interpolation="nearest", **options)
-        axis.set_title(title, fontsize=6)
+            table[-1].append((title, one, {"cmap": "magma", "vmin": 0, "vmax": top}))
+    panels = [panel for row in table for panel in row]
+    size = (2.4 * len(table[0]), 2.75 * len(table))
+    figure, axes = pyplot.subplots(len(table), len(table[0]), figsize=size, facecolor=GROUND)
+    for axis, (title, image, options) in zip(axes.flat, panels, strict=True):
+        if image is not None:
+            axis.imshow(image, interpolation="nearest", **options)
+        axis.set_title(title, fontsize=8, color="white")
         axis.axis("off")
     figure.tight_layout(pad=0.3)
-    figure.savefig(file, dpi=120, bbox_inches="tight", pad_inches=0.05)
+    quality = {"quality": 85}
+    figure.savefig(file, dpi=100, bbox_inches="tight", pad_inches=0.05, pil_kwargs=quality)
     pyplot.close(figure)
 
 

@@ -68,11 +68,11 @@ def run(quick: bool, device: str | int | None = None) -> dict:
         else:
             methods.append(method)
     if quick:
-        alone, many = Sizes(2048, 1024, 32, 2, 0.6, 1 << 12), Sizes(16, 64, 2, 2, 0.6, 1 << 8)
-        budgets, names, families = (4.0,), QUICK_INTEGRANDS, ("disks",)
+        alone, many = Sizes(2048, 1024, 32, 1, 0.5, 1 << 12), Sizes(16, 64, 2, 1, 0.5, 1 << 8)
+        budgets, names, families = (2.0,), QUICK_INTEGRANDS, ("disks",)
     else:
-        alone, many = Sizes(4096, 1024, 64, 3, None, 1 << 16), Sizes(64, 64, 4, 3, None, 1 << 10)
-        budgets, names, families = (1.0, 8.0), tuple(INTEGRANDS), tuple(FAMILIES)
+        alone, many = Sizes(4096, 1024, 64, 2, 2.0, 1 << 14), Sizes(64, 64, 4, 2, 2.0, 1 << 10)
+        budgets, names, families = (4.0,), tuple(INTEGRANDS), tuple(FAMILIES)
     problems = [(INTEGRANDS[name].family(), alone) for name in names]
     problems += [(FAMILIES[name](256 if quick else 1024), many) for name in families]
     report: dict[str, object] = {

@@ -1,6 +1,6 @@
 """Rays by kernels beside embree's: millions a second of one core, first hits and shadow rays.
 
-Usage: python bench/bench_rays.py [SCENE ...] [--cut N] [--rays N]
+Usage: python bench/bench_rays.py [SCENE ...] [--cut N] [--rays N] [--quick] [--json FILE]
 
 Rays leave the points of surfaces that the camera sees, as samples do, in all directions above them;
 shadow rays end at one length of the direction. Each kind is timed in processor seconds, the least of
@@ -11,8 +11,10 @@ of a GPU.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from training import SCENES
@@ -23,7 +25,8 @@ from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.wave import HEADER, PLANES, Wave
+from ncv_cl.sampling.waves.wave import HEADER, HOST_PLANES, PLANES
+from ncv_cl.sampling.waves.waves import Waves
 from ncv_cl.scene.load import Scene, load_scene
 from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.rays import RayCount, shadow_rays
@@ -66,19 +69,21 @@ def by_kernels(
     device: Device, hierarchy: Hierarchy, origins: np.ndarray, directions: np.ndarray
 ) -> tuple[float, float]:
     tracer, count = DeviceTracer(device, hierarchy), len(origins)
-    wave = Wave(device, count)
-    wave.make_room(count)
+    waves = Waves(device, tracer, by_kernels=False, panes=False)
+    waves.make(count)
+    wave = waves.begin(count)
 
     def first_hits() -> None:
         with wave.words.mapped(update=True) as words:
             words[:1].view(np.uint32)[0] = count
-            planes = words[HEADER : HEADER + PLANES.size * wave.plane].reshape(PLANES.size, wave.plane)
+            host = words[HEADER : HEADER + HOST_PLANES * wave.plane]
+            planes = host.reshape(HOST_PLANES, wave.plane)
             planes[PLANES["origin"], :count] = origins.T
             planes[PLANES["direction"], :count] = directions.T
-        wave.trace(tracer)
+        waves.trace(bounce=1)
         device.queue.finish()
 
-    rays, visible = shadow_rays(device, tracer, count), HostArray(device, count, np.uint8)
+    rays, visible = shadow_rays(device, tracer, count, False), HostArray(device, count, np.uint8)
     for name, rows in (
         ("origins", origins),
         ("directions", directions),
@@ -100,7 +105,12 @@ def main() -> None:
     parser.add_argument("scene", nargs="*", default=["cornell_box", "interior", "knot"])
     parser.add_argument("--cut", type=int, default=0, help="cut every triangle into four, so many times")
     parser.add_argument("--rays", type=int, default=1 << 18)
+    parser.add_argument("--quick", action="store_true", help="one scene, few rays")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     options = parser.parse_args()
+    if options.quick:
+        options.scene, options.rays = options.scene[:1], 1 << 14
+    rows = []
     own = choose_device()
     shapes = [own]
     if own.is_cpu:
@@ -115,13 +125,24 @@ def main() -> None:
             f"{name}, {len(scene.triangles)} triangles, million rays a second: first hits, shadow rays"
         )
         print(f"  embree        {rates[0]:6.2f} {rates[1]:6.2f}")
+        about = {"scene": name, "triangles": len(scene.triangles)}
+        rows.append(row_of(about, "embree", rates))
         begun = time.process_time()
         hierarchy = Hierarchy(own, scene)
         built = time.process_time() - begun
         for device in shapes:
             rates = options.rays / 1e6 / np.array(by_kernels(device, hierarchy, *rays))
             print(f"  {device.shape:26}{rates[0]:6.2f} {rates[1]:6.2f}", flush=True)
+            rows.append(row_of(about, device.shape, rates))
         print(f"  boxes built in {built:.2f} s")
+    if options.json:
+        found = {"device": own.identity, "rays": options.rays, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def row_of(about: dict[str, object], by: str, rates: np.ndarray) -> dict[str, object]:
+    """Million rays a second, of one core."""
+    return {**about, "by": by, "first_hits": float(rates[0]), "shadow_rays": float(rates[1])}
 
 
 if __name__ == "__main__":

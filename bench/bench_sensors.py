@@ -4,12 +4,13 @@ Sensors are even over all surfaces but the lights. Errors are against many lines
 Radiance's rtrace fall with `-ds`, the size of the parts that it cuts lights into. It is run if
 `pyradiance` is installed.
 
-    python bench/bench_sensors.py [--sensors 100000] [--reference 16384]
+    python bench/bench_sensors.py [--sensors 100000] [--reference 8192] [--quick] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import tempfile
@@ -84,8 +85,8 @@ def by_radiance(octree: Path, positions: np.ndarray, normals: np.ndarray, part: 
     return np.frombuffer(found, np.float32).reshape(-1, 3).astype(float)
 
 
-def report(name: str, work: tuple[np.ndarray, float, float], reference: np.ndarray) -> None:
-    """A row: means over the sensors that get any light."""
+def report(name: str, work: tuple[np.ndarray, float, float], reference: np.ndarray) -> dict[str, object]:
+    """Print and return a row: means over the sensors that get any light."""
     values, used, wall = work
     lit = reference.mean(axis=1) > 0
     mean = reference.mean(axis=1)
@@ -95,36 +96,59 @@ def report(name: str, work: tuple[np.ndarray, float, float], reference: np.ndarr
         f"{name:<16}{used:>9.2f} s{wall:>9.2f} s    errors over values {error.sum() / mean.sum():.1e}"
         f"    relative errors: median {np.median(relative):.1e}, mean {relative.mean():.1e}"
     )
+    return {
+        "way": name,
+        "processor_seconds": used,
+        "seconds": wall,
+        "error_over_values": float(error.sum() / mean.sum()),
+        "median_relative_error": float(np.median(relative)),
+        "mean_relative_error": float(relative.mean()),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--sensors", type=int, default=100_000)
-    parser.add_argument("--reference", type=int, default=16_384, help="lines a sensor")
+    parser.add_argument("--reference", type=int, default=8192, help="lines a sensor")
+    parser.add_argument("--quick", action="store_true", help="few sensors")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows here")
     options = parser.parse_args()
+    if options.quick:
+        options.sensors, options.reference = 1000, 1024
+    rows = measure(options.sensors, options.reference)
+    if options.json:
+        found = {"sensors": options.sensors, "reference_lines": options.reference, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def measure(count: int, reference_lines: int) -> list[dict[str, object]]:
+    """A row for each number of lines, and for each `-ds` of Radiance where it is installed."""
     scene = ncv.load_scene(SCENE)
-    at, normals = sensors(scene, options.sensors)
+    at, normals = sensors(scene, count)
 
     def by_lines(lines: int, seed: int) -> np.ndarray:
         return ncv.irradiance(scene, at, normals, spp=lines, seed=seed, method="mc").values
 
     by_lines(1, 0)
-    reference = by_lines(options.reference, 1)
+    reference = by_lines(reference_lines, 1)
     print(f"{'':<16}{'processor':>11}{'clock':>11}")
-    for lines in LINES:
+    rows = [
         report(f"{lines} lines", timed(lambda lines=lines: by_lines(lines, 2)), reference)
+        for lines in LINES
+    ]
     try:
         import pyradiance
     except ImportError:
         print("pyradiance is not installed")
-        return
+        return rows
     with tempfile.TemporaryDirectory() as folder:
         text, octree = Path(folder) / "interior.rad", Path(folder) / "interior.oct"
         text.write_text(radiance_scene(scene), encoding="utf-8")
         octree.write_bytes(pyradiance.oconv(text, warning=False))
         for part in PARTS:
             work = timed(lambda part=part: by_radiance(octree, at, normals, part))
-            report(f"rtrace -ds {part}", work, reference)
+            rows.append(report(f"rtrace -ds {part}", work, reference))
+    return rows
 
 
 if __name__ == "__main__":

@@ -10,15 +10,18 @@
 
 Renders are timed by turns; of processor seconds the least count. The reference is made of 2048 slices,
 and is compared with 4096 rays before anything is measured. A ratio of `auto` is the seconds of
-rays or slices, whichever reach its error sooner, over its own: 1 is best.
+rays or slices, whichever reach its error sooner, over its own: 1 is best. The default, `equal`, is what
+the report shows; `--quick` and `--json` are for it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from bench_lines import network
@@ -53,6 +56,8 @@ RADII = {
     "knot": (math.inf, 0.1),
     "occluders": (math.inf, 0.1),
 }
+# Rays whose errors slices are to reach.
+TARGETS, QUICK_TARGETS = (1024, 4096), (64,)
 LADDER = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 
 
@@ -61,8 +66,10 @@ def errors(case: Case, seeds: int) -> None:
         case.print_errors(visibility, numbers, seeds)
 
 
-def equal(case: Case, rounds: int) -> None:
-    for rays in (1024, 4096):
+def equal(case: Case, rounds: int, targets: tuple[int, ...] = TARGETS) -> list[dict]:
+    """Print and return a row for each number of rays: slices to the same error, and seconds of both."""
+    rows = []
+    for rays in targets:
         goal = case.error(case.render("embree", rays, 5))
         for number in LADDER:
             reached = case.error(case.render("lines", number, 5))
@@ -79,6 +86,12 @@ def equal(case: Case, rounds: int) -> None:
             f"{least['embree']:.2f} / {least['lines']:.2f} = {least['embree'] / least['lines']:.2f}",
             flush=True,
         )
+        rows.append({
+            "scene": case.name, "rays": rays, "slices": number, "mse": goal, "mse_of_slices": reached,
+            "processor_seconds": least["embree"], "processor_seconds_of_slices": least["lines"],
+            "ratio": least["embree"] / least["lines"],
+        })  # fmt: skip
+    return rows
 
 
 def diagonal(scene: ncv.Scene) -> float:
@@ -204,7 +217,7 @@ def build(rounds: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = {"errors": errors, "equal": equal, "network": network}
+    parts = {"errors": errors, "network": network}
     whole: dict[str, Callable[[argparse.Namespace], None]] = {
         "auto": lambda options: auto(
             options.scenes or tuple(RADII), options.size, options.rounds, options.sampler
@@ -212,18 +225,36 @@ def main() -> None:
         "cost": lambda options: costs(options.size, options.rounds),
         "constants": lambda options: constants(options.size, options.rounds),
         "build": lambda options: build(options.rounds),
+        "equal": _equal,
     }
-    parser.add_argument("part", choices=(*parts, *whole))
+    parser.add_argument("part", nargs="?", choices=(*parts, *whole), default="equal")
     parser.add_argument("--scenes", nargs="+", choices=tuple(RADII))
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--rounds", type=int, default=3, help="seeds, or timed runs of each")
     parser.add_argument("--sampler", choices=("sobol", "independent"), default="sobol")
+    parser.add_argument("--quick", action="store_true", help="`equal` in one scene, small")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows of `equal` here")
     options = parser.parse_args()
     if options.part in whole:
         whole[options.part](options)
         return
     for name in options.scenes or NAMES:
         parts[options.part](Case(name, "ao", options.size, 2048), options.rounds)
+
+
+def _equal(options: argparse.Namespace) -> None:
+    names, size, rounds, reference = options.scenes or NAMES, options.size, options.rounds, 2048
+    targets = QUICK_TARGETS if options.quick else TARGETS
+    if options.quick:
+        names, size, rounds, reference = NAMES[:1], 24, 1, 256
+    rows = [
+        row
+        for name in names
+        for row in equal(Case(name, "ao", size, reference, judged=2 * reference), rounds, targets)
+    ]
+    if options.json:
+        found = {"device": choose_device(None).identity, "size": size, "rows": rows}
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

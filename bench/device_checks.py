@@ -30,7 +30,7 @@ TESTS, SCENES = ROOT / "tests", ROOT / "scenes"
 ALL_GROUPS = ("W1", "B1", "B2", "W3", "B3")
 
 # Subjects of which a quick run needs every check, to reach every kernel.
-WHOLE_SUBJECTS = ("direct light", "density", "integration", "control coefficient")
+WHOLE_SUBJECTS = ("direct light", "left out", "density", "integration", "control coefficient")
 # Subject, test module, test function, and the arguments that are no fixtures (or a function of the
 # module that gives them). Of most subjects a quick run does the first check only.
 CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = (
@@ -56,6 +56,11 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
     ("direct light", "test_direct", "test_quadrature_gives_lamberts_form_factor",
      {"scale": 1, "offset": 0, "count": 3}),
     ("direct light", "device_checks", "unshadowed_means_are_those_of_the_samples", {}),
+    ("left out", "test_skip", "test_dark_points_are_those_of_float64",
+     {"name": "cornell_box", "is_double": True, "tmp_path": None}),
+    ("left out", "test_skip", "test_dark_points_come_last_with_all_that_belongs_to_them", {}),
+    ("left out", "test_skip", "test_idle_neurons_are_those_that_corners_tell",
+     {"modulated": ALL_GROUPS}),
     ("shadow rays", "test_shaft", "test_occluders_answer_as_embree_does",
      lambda tests: {"count": 40, "lights": tests.LIGHTS}),
     ("shadow rays", "test_shadow", "test_rays_are_answered_as_in_double_precision",

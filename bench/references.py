@@ -65,18 +65,23 @@ class Reference:
 
     def errors(self, pixels: np.ndarray) -> tuple[float, float]:
         """MSE and relMSE (`ncv_cl.output.image.error_metrics`), the reference's own part subtracted."""
-        weight = 1 / (self.pixels**2 + 1e-2 * self.pixels.mean() ** 2)
+        weight = relative_weight(self.pixels)
         squared = (pixels.astype(np.float64) - self.pixels) ** 2 - self.variance
         return float(squared.mean()), float((squared * weight).mean())
 
     def own_errors(self) -> tuple[float, float]:
         """MSE and relMSE of the reference itself."""
-        weight = 1 / (self.pixels**2 + 1e-2 * self.pixels.mean() ** 2)
+        weight = relative_weight(self.pixels)
         return float(self.variance.mean()), float((self.variance * weight).mean())
 
     def agrees(self, pixels: np.ndarray) -> tuple[float, bool]:
         """Z-value of an image's mean, and whether it is that of an unbiased estimate."""
         return z_test(pixels, self.pixels)
+
+
+def relative_weight(pixels: np.ndarray) -> np.ndarray:
+    """What makes squared errors relative, with the floor of `ncv_cl.output.image.error_metrics`."""
+    return 1 / (pixels**2 + 1e-2 * pixels.mean() ** 2)
 
 
 def z_test(pixels: np.ndarray, reference: np.ndarray) -> tuple[float, bool]:

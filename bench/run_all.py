@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
-from report.parts import PARTS, Run, run_part
+from report.parts import FULL_SECONDS, PARTS, Run, run_part
 
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.output.report import package_version
@@ -47,11 +47,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     wanted = [name for name in PARTS if name in options.parts or not options.parts]
     started, failed = time.perf_counter(), False
-    for name in wanted:
+    for k, name in enumerate(wanted):
         limit = None
-        if options.quick:
-            left = QUICK_SECONDS - REPORT_SECONDS - (time.perf_counter() - started)
-            limit = min(QUICK_PART_SECONDS, left)
+        # Parts that are asked for by name take what they take.
+        if options.quick or not options.parts:
+            gone = time.perf_counter() - started
+            limit = _limit(options.quick, options.seconds, gone, wanted[k + 1 :])
         print(f"== {name}", flush=True)
         run = run_part(PARTS[name], out, options.quick, options.device, limit, extra)
         print(f"== {name}: {run.status}, {run.seconds:.0f} s", flush=True)
@@ -60,11 +61,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return max(_write_report(out), int(failed))
 
 
+def _limit(quick: bool, seconds: float, gone: float, later: Sequence[str]) -> float:
+    """Seconds that a part may take after `gone` ones, so that those after it have theirs."""
+    if quick:
+        return min(QUICK_PART_SECONDS, QUICK_SECONDS - REPORT_SECONDS - gone)
+    share = sum(PARTS[name].seconds for name in later) * seconds / FULL_SECONDS
+    return seconds - REPORT_SECONDS - gone - share
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="ncv-cl bench", description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}, {REPORT}; default: all")
     add("--quick", action="store_true", help="all at reduced size, in less than ten minutes")
+    add(
+        "--seconds",
+        type=float,
+        default=FULL_SECONDS,
+        metavar="S",
+        help="what all parts in full may take (default %(default).0f; shares: report/parts.py)",
+    )
     add("--out", default="bench-report", metavar="DIR", help="results and report (default: %(default)s)")
     add("--device", metavar="D", help="as for ncv-cl render")
     add("--options", default="", metavar="TEXT", help="for one part's script, as --options='--size 128'")

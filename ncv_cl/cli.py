@@ -7,7 +7,7 @@ import functools
 import itertools
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
@@ -275,7 +275,9 @@ def _render_and_write(options: argparse.Namespace, stop: StopOnSignal, executor:
 
 def _write_all(image: Image, options: argparse.Namespace) -> list[str]:
     """Write every file that can be; returns those that could not, after a line on each."""
-    writers = {path: functools.partial(image.write, path) for path in options.output}
+    writers: dict[str, Callable[[], None]] = {
+        path: functools.partial(image.write, path) for path in options.output
+    }
     if options.json:
         writers[options.json] = lambda: write_json(options.json, image.stats)
     failed = []

@@ -50,6 +50,12 @@ def one_device() -> Device:
 
 
 @pytest.fixture(scope="session")
+def gpu_shape() -> Device:
+    """A device in the shape of a GPU: one, or the first CPU in its place."""
+    return _NAMED.get("gpu-shape", next(iter(_NAMED.values())))
+
+
+@pytest.fixture(scope="session")
 def scenes() -> Path:
     """The folder of the shipped scenes."""
     return SCENES

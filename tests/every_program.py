@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+import os
+import pickle
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from ncv_cl.integration.subdivide import subdivide
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GROUP_SIZE, Device
 from ncv_cl.opencl.kernel import Kernel
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.opencl.probe import measure
 from ncv_cl.points.sampler import SAMPLERS
 from ncv_cl.settings.presets import PRESETS
@@ -162,6 +165,12 @@ def render_everything(device: Device, folder: Path) -> None:
     # Rays by kernels, those of paths too, of more triangles than are tested one by one.
     scene.write_text(MATTE + GLOWING[GLOWING.index("[[spheres]]") :], encoding="utf-8")
     render(scene, GlobalIllumination(3), "mc", rays="device", spp=2, size=(4, 4), device=device)
+    # Paths that are followed to their ends where the host does not know how many are left.
+    memory = DeviceMemory(False, device.memory.largest, device.memory.total)
+    discrete = replace(device, memory=memory)
+    for text in (scene.read_text(encoding="utf-8"), MATTE):
+        scene.write_text(text, encoding="utf-8")
+        render(scene, GlobalIllumination(), "mc", rays="device", spp=2, size=(4, 4), device=discrete)
     disc = ROUND[: ROUND.index('[[lights]]\nkind = "sphere"')]
     for text, density in ((MATTE, "subdivision"), (disc, "table")):
         scene.write_text(text, encoding="utf-8")
@@ -200,6 +209,24 @@ def integrate_everything(device: Device) -> None:
             integrate(
                 weights, biases, method=method, precision=precision, device=device, return_bound=True
             )
+
+
+def programs_of(device: Device, folders: pytest.TempPathFactory) -> list[Built]:
+    """What `build_everything` builds for a device, once for all processes of a run of pytest."""
+    import fcntl  # Not on Windows, which has none of what takes these programs.
+
+    # Workers of pytest-xdist have the folder above theirs in common, and no other run has it.
+    shared = folders.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    kept = shared / f"programs_{device.vector_width}_{device.lanes}.pickle"
+    with kept.with_suffix(".lock").open("w") as lock:
+        # Others wait here; the file is closed, and so unlocked, whatever happens.
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            built = build_everything([device], folders.mktemp("programs"))
+            kept.write_bytes(pickle.dumps(built))
+        return pickle.loads(kept.read_bytes())
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,10 @@ from fitting import fitting
 from ncv_cl import render
 from ncv_cl.learning import tuning
 from ncv_cl.opencl.device import list_cl_devices, open_device
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.rendering import prepare
+from ncv_cl.sampling import paths
 from ncv_cl.settings.presets import PRESETS
 from ncv_cl.visibility import slices
 from ncv_cl.visibility import tuning as visibility_tuning
@@ -65,7 +67,10 @@ def main(
     listed: str = "",
     rays: str = "auto",
 ) -> None:
-    """Render; `listed` is how many occluders a list may hold, if not as many as usual."""
+    """Render; `listed` is how many occluders a list may hold, if not as many as usual.
+
+    With `rays` "ahead" they are the device's, and nobody waits for how many of a path there are.
+    """
     if listed:
         prepare.MOST_ON_LINES = int(listed)
     avoid_false_reports()
@@ -76,6 +81,10 @@ def main(
     (simulator,) = list_cl_devices()
     # An explicit device: choosing one would run the micro-benchmark in the simulator.
     device = open_device(simulator, vector_width=int(vec), lanes=int(lanes))
+    if rays == "ahead":
+        rays, paths.WAVES = "device", 2
+        memory = DeviceMemory(False, device.memory.largest, device.memory.total)
+        device = replace(device, memory=memory)
     image = render(
         scene,
         integrand,

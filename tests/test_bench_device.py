@@ -50,11 +50,28 @@ def test_a_failure_makes_the_report_invalid_and_names_the_test(one_device, monke
     monkeypatch.setattr(device_checks, "CHECKS", (("sums", "device_checks", "wrong", {}),))
     for name in ("stages", "shape_row", "work_groups"):
         monkeypatch.setattr(bench_device, name, lambda *_: {})
+    for name in ("peaks", "beside_model"):
+        monkeypatch.setattr(bench_device.device_stages, name, lambda *_: {})
     monkeypatch.setattr(bench_device, "show", lambda report: None)
     report = bench_device.run(True, one_device)
     assert not report["valid"] and "integrate" in report["unreached_kernels"]
     assert report["checks"][0]["test"] == "device_checks.wrong"
     assert "off by one" in report["checks"][0]["error"]
+
+
+def test_what_there_is_no_time_for_is_named(one_device, monkeypatch, capsys):
+    monkeypatch.setattr(device_checks, "CHECKS", ())
+    monkeypatch.setattr(bench_device.device_stages, "peaks", lambda device: {"memory": 1.0})
+    monkeypatch.setattr(
+        bench_device.device_stages,
+        "beside_model",
+        lambda *_: monkeypatch.setattr(bench_device, "LIMIT", 0.0) or [],
+    )
+    saved = []
+    report = bench_device.run(True, one_device, lambda one: saved.append(list(one)))
+    assert report["left_out"] == ["stages", "work_groups", "shapes"]
+    assert len(saved) == 2 and "peaks" in saved[0] and "model" not in saved[0] and "model" in saved[1]
+    assert "no time was left for: stages, work_groups, shapes" in capsys.readouterr().out
 
 
 def test_shapes_begin_with_the_devices_own_and_suit_its_kind(one_device):

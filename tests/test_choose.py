@@ -29,10 +29,17 @@ def alone(monkeypatch):
 
 
 def stand_in(platform="Portable Computing Language", version="", kind=cl.device_type.CPU, fma=True):
-    """An OpenCL device that is of some runtime."""
+    """An OpenCL device that is of some runtime; as a GPU, one of a hundred times a CPU's peak."""
     config = cl.device_fp_config.FMA if fma else cl.device_fp_config.DENORM
     runtime = SimpleNamespace(name=platform, version=version)
-    return Mock(platform=runtime, type=kind, single_fp_config=config, version="")
+    found = Mock(platform=runtime, type=kind, single_fp_config=config, version="", vendor="Apple")
+    found.configure_mock(
+        name=platform, max_compute_units=16, max_clock_frequency=2000, host_unified_memory=False
+    )
+    found.native_vector_width_float, found.global_mem_size, found.local_mem_size = 1, 64 << 30, 1 << 16
+    for question in ("compute_capability_major_nv", "simd_per_compute_unit_amd"):
+        delattr(found, question)
+    return found
 
 
 def test_every_device_is_chosen_by_its_index():
@@ -104,14 +111,36 @@ def test_what_is_known_of_runtimes_decides_and_not_the_clock(monkeypatch):
     for count in range(1, len(best_first) + 1):
         for order in (best_first[-count:], best_first[-count:][::-1]):
             listed = [Device(cl_device, index) for index, cl_device in enumerate(order)]
-            monkeypatch.setattr(choose, "_listed", lambda listed=listed: listed)
-            assert choose._chosen(None).cl_device is best_first[-count]
+            assert choose._chosen(None, listed)[0].cl_device is best_first[-count]
 
 
-def test_of_equal_devices_the_first_is_chosen(monkeypatch):
+def test_of_equal_devices_the_first_is_chosen():
     listed = [Device(stand_in(version=POCL_31), index) for index in range(3)]
-    monkeypatch.setattr(choose, "_listed", lambda: listed)
-    assert choose._chosen(None) is listed[0]
+    assert choose._chosen(None, listed)[0] is listed[0]
+
+
+def test_a_gpu_that_does_not_pay_is_left_and_the_reason_told(monkeypatch):
+    weak = stand_in("Intel(R) OpenCL Graphics", "OpenCL 3.0 NEO", cl.device_type.GPU)
+    weak.vendor, weak.host_unified_memory = "Intel(R) Corporation", True
+    listed = [Device(weak, 0), Device(stand_in(version=POCL_31), 1)]
+    weak.max_compute_units = 4
+    device, why = choose._chosen(None, listed)
+    assert device is listed[1]
+    assert why == "the integrated GPU's peak is 2 times the CPU's, and 8 times are needed to pay"
+    # Alone it is taken, and by its name.
+    assert choose._chosen(None, listed[:1])[0] is listed[0]
+    assert choose._chosen("graphics", listed) == (listed[0], "as asked for")
+    monkeypatch.setenv(choose.VARIABLE, "0")
+    assert choose._chosen(None, listed) == (listed[0], f"as {choose.VARIABLE} says")
+
+
+def test_of_two_gpus_the_one_of_the_higher_peak_is_chosen():
+    listed = [Device(stand_in("NVIDIA CUDA", "", cl.device_type.GPU), index) for index in range(2)]
+    listed[1].cl_device.max_compute_units = 132
+    assert choose._chosen(None, listed) == (
+        listed[1],
+        "the GPU of the highest peak, without a CPU's runtime beside it",
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,11 +171,17 @@ def test_what_is_chosen_is_compiled_by_the_rule():
 def test_devices_prints_one_line_each_with_its_benchmark():
     reports = devices()
     lines = str(reports).splitlines()
-    assert len(lines) == len(reports) == len(choose._listed())
-    for line, device in zip(lines, choose._listed(), strict=True):
+    assert len(lines) == len(reports) + 1 == len(choose._listed()) + 1
+    assert lines[-1].startswith(f"taken unless another is named: [{choose_device().index}], ")
+    for line, device in zip(lines[:-1], choose._listed(), strict=True):
         assert line.startswith(device.describe())
         assert ("multiply-adds a second" if device in all_devices() else "not used: ") in line
     assert repr(reports) == str(reports)
+
+
+def test_a_wish_that_cannot_be_met_does_not_keep_devices_from_the_list(monkeypatch):
+    monkeypatch.setenv(choose.VARIABLE, "nonsense")
+    assert devices().choice.startswith("none is taken: no device matches 'nonsense'; choose by index")
 
 
 def test_without_any_opencl_the_error_says_what_to_install(tmp_path):

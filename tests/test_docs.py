@@ -1,12 +1,14 @@
-"""README and docs/: every block of code runs, every path exists, every table is complete."""
+"""README and docs/: every block of code runs or says why not, every path exists, tables are complete."""
 
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 import runpy
 import shlex
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,18 +24,35 @@ from ncv_cl.output.image import LAYER_CHANNELS
 
 CHECKOUT = Path(__file__).parent.parent
 PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (CHECKOUT / "docs").glob("*.md"))]
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^(?:<!-- not run:(?P<reason>.*?)-->\n)?[ ]*```(?P<language>\w*)\n(?P<text>.*?)^[ ]*```$",
+    re.MULTILINE | re.DOTALL,
+)
 # What a block of a file begins with.
 FILE = re.compile(r"(?:# |/\* )(\w+\.(?:py|cl))\b")
+# What a line begins with that is to be run.
+COMMAND = re.compile(r"^\s*(?:ncv-cl|pip|python\d?|pytest|import|from) ", re.MULTILINE)
+# Blocks by page that need what a test does not have.
+NOT_RUN = {"README.md": 1, "docs/benchmarks.md": 1, "docs/clusters.md": 3, "docs/import.md": 1}
+# Pages that have a test of their own.
+OWN_TESTS = ("docs/python.md", "docs/integrands.md")
 # Renders of the pages in which pictures are not looked at.
 SIZE = (16, 12)
-# Its parts are run one by one by .ci/run.
-BENCH = "ncv-cl bench --quick"
 
 
-def blocks(page: str) -> list[tuple[str, str]]:
-    """(language, text) of every block of code, in order."""
-    return BLOCK.findall((CHECKOUT / page).read_text(encoding="utf-8"))
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page; `reason` is why it is not run, None where it is."""
+
+    reason: str | None
+    language: str
+    text: str
+
+
+def blocks(page: str) -> list[Block]:
+    """Every block of a page, in order."""
+    text = (CHECKOUT / page).read_text(encoding="utf-8")
+    return [Block(**found.groupdict()) for found in BLOCK.finditer(text)]
 
 
 def commands(text: str) -> list[str]:
@@ -67,14 +86,17 @@ def small(monkeypatch):
 def run(page: str) -> dict[str, object]:
     """Run a page's blocks in one namespace, which is returned; files are written to the folder."""
     namespace: dict[str, object] = {"__name__": "__main__"}
-    for language, text in blocks(page):
+    for block in blocks(page):
+        language, text = block.language, block.text
+        if block.reason is not None:
+            continue
         file = FILE.match(text)
         if file:
             Path(file[1]).write_text(text, encoding="utf-8")
         elif language == "bash":
             for line in commands(text):
                 program, *arguments = shlex.split(line)
-                if program == "ncv-cl" and line != BENCH:
+                if program == "ncv-cl":
                     assert cli.main(arguments) == 0
         elif language == "toml":
             Path("page.toml").write_text(text, encoding="utf-8")
@@ -83,11 +105,28 @@ def run(page: str) -> dict[str, object]:
         elif language == "python":
             exec(compile(text, page, "exec"), namespace)
         else:
-            assert language == "text", language
+            # A drawing in letters, in which nobody looks for commands.
+            assert language == "text" and not COMMAND.search(text), text
     return namespace
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/python.md"])
+def test_blocks_that_are_not_run_say_why():
+    """A reason each, and no more of them than these; what is Python must at least be Python."""
+    left = {page: [block for block in blocks(page) if block.reason is not None] for page in PAGES}
+    assert {page: len(found) for page, found in left.items() if found} == NOT_RUN
+    for block in itertools.chain(*left.values()):
+        assert len(block.reason.split()) > 1, block.text
+        if block.language == "python":
+            compile(block.text, "a block that is not run", "exec")
+    # Each fence of the pages opens or closes a block that was found.
+    for page in PAGES:
+        fences = re.findall(
+            r"^\s*(?:```|~~~)", (CHECKOUT / page).read_text(encoding="utf-8"), re.MULTILINE
+        )
+        assert len(fences) == 2 * len(blocks(page)), page
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in OWN_TESTS])
 def test_blocks_of_a_page_run(folder, small, page, capsys):
     run(page)
     if page == "README.md":
@@ -97,13 +136,18 @@ def test_blocks_of_a_page_run(folder, small, page, capsys):
         assert 0 < worst < 0.05
 
 
-def test_the_page_on_python_does_what_it_says(folder, one_device, capsys):
-    found = run("docs/python.md")
-    for picture in ("ring.png", "cone.png", "knot_cone.png"):
-        assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
-    code = "".join(text for _, text in blocks("docs/python.md"))
+def test_the_page_on_python_does_what_it_says(folder, capsys):
+    run("docs/python.md")
+    assert (folder / "ring.png").read_bytes()[:4] == b"\x89PNG"
+    code = "".join(block.text for block in blocks("docs/python.md"))
     promised, printed = re.findall(r"print\(.*?\)  # (.*)", code), capsys.readouterr().out
     assert promised and all(text in printed for text in promised)
+
+
+def test_the_page_on_integrands_does_what_it_says(folder, one_device):
+    found = run("docs/integrands.md")
+    for picture in ("cone.png", "knot_cone.png"):
+        assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
     # Within its own deviation the control variate is what plain Monte Carlo finds.
     image, cone = found["image"], found["Cone"]
     plain, _ = render_plain(one_device, found["scene"], cone(half_angle=45), (64, 48), 256)
@@ -117,8 +161,10 @@ def test_other_commands_of_the_pages_are_run_by_ci():
     """Each command's words are found in their order in one command of .ci/run, options between them."""
     text = (CHECKOUT / ".ci" / "run").read_text(encoding="utf-8").replace("\\\n", " ")
     ran = [shlex.split(line, comments=True) for line in text.splitlines() if line.count('"') % 2 == 0]
-    asked = [one for page in PAGES for language, block in blocks(page) if language == "bash"
-             for one in commands(block) if not one.startswith("ncv-cl ")]  # fmt: skip
+    # Those of a cluster, and of the reader's files, have no place there.
+    pages = [page for page in PAGES if page not in ("docs/clusters.md", "docs/import.md")]
+    shells = [block for page in pages for block in blocks(page) if block.language == "bash"]
+    asked = [one for block in shells for one in commands(block.text) if not one.startswith("ncv-cl ")]
     assert len(asked) >= 5
     for command in asked:
         for words in ran:
@@ -165,7 +211,7 @@ def test_tables_of_results_are_complete(folder, one_device, scenes):
 
 
 def test_the_tree_of_the_readme_is_that_of_the_package():
-    tree = next(text for language, text in blocks("README.md") if language == "text")
+    tree = next(block.text for block in blocks("README.md") if block.language == "text")
     named = [line.split(maxsplit=1) for line in tree.splitlines()]
     assert [name for name, _ in named] == FOLDERS
     for name, subject in named:
@@ -205,6 +251,8 @@ def test_examples_render(folder, small, monkeypatch, name):
     text = (CHECKOUT / "examples" / name).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     monkeypatch.setattr(sys, "argv", [name])
+    bake = ncv.bake
+    monkeypatch.setattr(ncv, "bake", lambda *a, **options: bake(*a[:2], SIZE, *a[3:], **options))
     runpy.run_path(str(CHECKOUT / "examples" / name), run_name="__main__")
     pictures = sorted(folder.glob("*.png"))
     assert pictures and all(path.read_bytes()[:4] == b"\x89PNG" for path in pictures)

@@ -10,11 +10,12 @@ from reference import bare_kernel, camera_at, grey, light_at, mesh_scene, quad, 
 from scipy import stats
 
 import ncv_cl as ncv
-from ncv_cl.integrands.environment import FEW_NORMALS, environment_dark, rows_of
+from ncv_cl.integrands.environment import FEW_NORMALS, rows_of
 from ncv_cl.integrands.light_cells import cell_of
 from ncv_cl.integrands.lights import LIGHT_FILES, light_defines, light_records, light_rows
 from ncv_cl.opencl.memory import HostArray
-from ncv_cl.points.points import surface_defines
+from ncv_cl.points.points import surface_defines, surface_window
+from ncv_cl.sampling.callable import function_points
 from ncv_cl.scene.load import Scene
 from ncv_cl.scene.sky.environment import Environment, Sun
 
@@ -356,8 +357,13 @@ def test_lights_and_environment_share_the_square(one_device):
         assert value[~outside].sum() / len(u) == pytest.approx(of_light.values[0, 0], rel=2e-2)
 
 
-def test_points_that_no_sun_reaches_are_dark():
+def test_points_that_no_sun_reaches_are_dark(one_device):
     scene = under(SKIES["suns"])
-    normals = unit(np.array([[0, 1, 0], [0, -1, 0], [0.7, -0.7, 0.0]])).T
-    assert environment_dark(scene, normals).tolist() == [False, True, True]
-    assert not environment_dark(under(SKIES["constant"]), normals).any()
+    normals = unit(np.array([[0, 1, 0], [0, -1, 0], [0.7, -0.7, 0.0]]))
+    points = function_points(one_device, np.zeros((3, 3)))
+    for name in ("normal", "geometric_normal"):
+        window = surface_window(points.surface, name)
+        with points.surface.mapped(write=True, window=window) as rows:
+            rows[...] = normals.T
+    assert ncv.DirectLight().dark(scene, points).tolist() == [False, True, True]
+    assert not ncv.DirectLight().dark(under(SKIES["constant"]), points).any()

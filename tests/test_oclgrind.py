@@ -170,9 +170,13 @@ def test_simulator_finds_no_fault_along_lines(name, listed, vec, lanes, scenes, 
 
 
 @pytest.mark.parametrize("vec, lanes", SHAPES)
-@pytest.mark.parametrize("name, integrand", [("knot", "ao"), ("interior", "gi")])
-def test_simulator_finds_no_fault_in_rays_by_kernels(name, integrand, vec, lanes, scenes, tmp_path):
-    arguments = (integrand, "mc", "sobol", str(vec), str(lanes), "none", "points", "", "device")
+@pytest.mark.parametrize(
+    "name, integrand, rays", [("knot", "ao", "device"), ("interior", "gi", "ahead")]
+)
+def test_simulator_finds_no_fault_in_rays_by_kernels(
+    name, integrand, rays, vec, lanes, scenes, tmp_path
+):
+    arguments = (integrand, "mc", "sobol", str(vec), str(lanes), "none", "points", "", rays)
     faults = simulate(tmp_path / "log", PROGRAM, scenes / f"{name}.toml", *arguments)
     assert not faults, faults[:5000]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -13,8 +15,11 @@ from ncv_cl.estimation.image_estimate import ImageEstimate
 from ncv_cl.estimation.passes import Passes
 from ncv_cl.integrands import AmbientOcclusion, DirectLight, GlobalIllumination
 from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.rendering import prepare
-from ncv_cl.sampling import samples
+from ncv_cl.sampling import paths, samples
+from ncv_cl.sampling.waves import embree, wave
+from ncv_cl.sampling.waves.wave import knows_counts
 from ncv_cl.scene.load import load_scene
 from ncv_cl.visibility.trace import DeviceTracer
 
@@ -74,7 +79,8 @@ def test_samples_are_embrees(device, scenes, integrand):
     found, counts = [], []
     for on_device in (False, True):
         points, source, _ = sampling(device, scene, integrand, (12, 9), 64, on_device=on_device)
-        assert source.runs_ahead == (on_device and not integrand.nested)
+        waits = integrand.nested and knows_counts(device)
+        assert source.runs_ahead == (on_device and not waits)
         batch = source.draw(range(points.active), range(64), 0)
         found.append(shadowed_values(batch, integrand.channels))
         counts.append((source.rays.traced, source.rays.skipped, source.rays.on_device))
@@ -102,13 +108,13 @@ class Waits:
 def waits(monkeypatch):
     """Counts every way to wait that the package uses, from now on."""
     found = Waits()
-    for owner, name in (
+    for owner, name, *blocks in (
         (cl.CommandQueue, "finish"),
         (cl, "enqueue_map_buffer"),
-        (cl, "enqueue_copy"),
+        (cl, "enqueue_copy", lambda given: given.get("is_blocking", True)),
         (cl, "wait_for_events"),
     ):
-        monkeypatch.setattr(owner, name, found.counting(name, getattr(owner, name)))
+        monkeypatch.setattr(owner, name, found.counting(name, getattr(owner, name), *blocks))
     return found
 
 
@@ -116,18 +122,18 @@ def waits(monkeypatch):
 def passes(waits, monkeypatch):
     """What the host waited for in each pass, from its first sample until its last is added."""
     found = []
-    plain_run, plain_after = Passes.run, ImageEstimate._keep_parts
+    plain_run, plain_after = Passes._run_one, ImageEstimate._keep_parts
 
-    def run(own, *arguments, **given):
-        waits.calls.clear()
-        return plain_run(own, *arguments, **given)
+    def run(own, target, *arguments):
+        if target is own._targets[0]:
+            waits.calls.clear()
+        plain_run(own, target, *arguments)
 
     def after(own, done):
         found.append(waits.calls.copy())
         plain_after(own, done)
-        waits.calls.clear()
 
-    monkeypatch.setattr(Passes, "run", run)
+    monkeypatch.setattr(Passes, "_run_one", run)
     monkeypatch.setattr(ImageEstimate, "_keep_parts", after)
     # Several batches a pass.
     monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 1 << 13)
@@ -155,6 +161,92 @@ def test_the_host_waits_for_each_of_embrees_batches_and_for_each_bounce(one_devi
     assert all(len(one) >= 5 * batches for one in by_embree)
     # Paths: the counts of each bounce's rays, and nothing that grows with their number.
     assert all(len(one) > batches and set(one) == {"enqueue_map_buffer", "finish"} for one in passes)
+
+
+def discrete(device: Device) -> Device:
+    """The device as if its memory were its own."""
+    memory = device.memory
+    return replace(device, memory=DeviceMemory(False, memory.largest, memory.total))
+
+
+# Direct light apart has points share paths, and is sampled by lines; else each has its own.
+@pytest.mark.parametrize("split", ["on", "off"])
+@pytest.mark.parametrize("method", ["mc", pytest.param("ncv", marks=pytest.mark.slow)])
+def test_paths_wait_once_a_pass(one_device, scenes, passes, method, split):
+    options = {"split_direct": split, "method": method, "visibility": "auto"}
+    options |= {"train_spp": 4} if method == "ncv" else {"spp": 128}
+    image = rendered(discrete(one_device), scenes, "gi", "device", **options)
+    assert image.stats["rays_traced"] > 100_000
+    assert len(passes) >= 2 and passes == [["finish"]] * len(passes)
+
+
+@pytest.mark.parametrize(("scene", "split"), [("interior", "on"), ("cornell_box", "off")])
+def test_paths_that_run_ahead_are_those_whose_rays_are_counted(
+    device, scenes, monkeypatch, scene, split
+):
+    options = SMALL | {"method": "mc", "spp": 32, "rays": "device", "split_direct": split}
+    path = scenes / f"{scene}.toml"
+    expected = ncv.render(path, "gi", device=device, **options)
+    # Few waves, so that paths of every length are followed, and fewer work-items than rays.
+    monkeypatch.setattr(paths, "WAVES", 2)
+    monkeypatch.setattr(wave, "GROUPS_A_UNIT", 1)
+    found = ncv.render(path, "gi", device=discrete(device), **options)
+    np.testing.assert_array_equal(found.pixels, expected.pixels)
+    np.testing.assert_array_equal(found.variance, expected.variance)
+    for name in ("rays_traced", "rays_on_device", "rays_skipped"):
+        assert found.stats[name] == expected.stats[name]
+
+
+def test_paths_of_few_bounces_run_ahead(one_device, scenes):
+    """No wave more than there are bounces, and none is followed."""
+    options = SMALL | {"method": "mc", "spp": 8, "rays": "device"}
+    for depth in (2, 3, paths.WAVES + 1):
+        integrand = GlobalIllumination(depth)
+        expected, found = (
+            ncv.render(scenes / "interior.toml", integrand, device=one, **options)
+            for one in (one_device, discrete(one_device))
+        )
+        np.testing.assert_array_equal(found.pixels, expected.pixels)
+        assert found.stats["rays_traced"] == expected.stats["rays_traced"]
+
+
+@pytest.fixture()
+def crossings(waits, monkeypatch):
+    """Of each wave that embree traces: what the host waited for, bytes that were copied, and rays."""
+    found = []
+    copied = [0]
+    plain_copy, plain_trace = cl.enqueue_copy, embree.Copies.trace
+
+    def copy(queue, to, source, **given):
+        copied[0] += (to if isinstance(to, np.ndarray) else source).nbytes
+        return plain_copy(queue, to, source, **given)
+
+    def trace(own, wave, *arguments):
+        waits.calls.clear()
+        copied[0] = 0
+        seconds = plain_trace(own, wave, *arguments)
+        found.append((waits.calls.copy(), copied[0], wave.rays + wave.shadows))
+        return seconds
+
+    monkeypatch.setattr(cl, "enqueue_copy", copy)
+    monkeypatch.setattr(embree.Copies, "trace", trace)
+    monkeypatch.setattr(samples, "SAMPLES_PER_BATCH", 1 << 13)
+    return found
+
+
+@pytest.mark.parametrize("split", ["on", "off"])
+def test_embree_gets_what_it_needs_of_each_bounce_at_once(one_device, scenes, crossings, split):
+    options = {"split_direct": split, "visibility": "embree", "spp": 128}
+    found = rendered(discrete(one_device), scenes, "gi", "embree", **options)
+    expected = rendered(one_device, scenes, "gi", "embree", **options)
+    waited, copied, rays = zip(*crossings, strict=True)
+    # Memory to copy to is mapped when it grows; and a wave may have more rays than were expected.
+    asked = [one.count("wait_for_events") for one in waited]
+    assert len(asked) > 100 and min(asked) == 1 and max(asked) == 2 and np.mean(asked) < 1.2
+    assert all(set(one) <= {"wait_for_events", "enqueue_map_buffer"} for one in waited)
+    assert sum(one.count("enqueue_map_buffer") for one in waited) < 32
+    assert sum(copied) <= 41 * sum(rays) and sum(rays) > 100_000
+    np.testing.assert_array_equal(found.pixels, expected.pixels)
 
 
 def test_of_auto_a_gpu_traces_what_it_can(one_device, scenes, monkeypatch):

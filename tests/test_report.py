@@ -1,9 +1,6 @@
-"""The benchmark's arithmetic and its report, from curves and results that are known."""
+"""The benchmark's arithmetic from curves that are known, its parts in processes, its smallest runs."""
 
 from __future__ import annotations
-
-import json
-import re
 
 import numpy as np
 import pytest
@@ -14,13 +11,10 @@ pytest.importorskip("jinja2", reason="the benchmarks need jinja2")
 import bench_curves
 import bench_pictures
 import references
+import run_all
 from bench_curves import AUTO, DEFAULT, METHODS, SLIDES, SOBOL
 from crossover import Curve, against_the_better, crossover
-from report import curves, others
-from report.build import build_report
-from report.document import shown
-from report.generic import tables
-from report.parts import PARTS, Part, run_part
+from report.parts import FULL_SECONDS, PARTS, Part, run_part
 
 SPPS = (4, 16, 64, 256, 1024, 4096)
 # Plain Monte Carlo: error 1 / n in 0.01 s a sample. Ours: a quarter of the error, at twice the cost a
@@ -109,194 +103,18 @@ def test_reference_subtracts_its_own_variance_and_finds_a_bias():
     assert found.agrees(image)[1] and not found.agrees(image + 0.002)[1]
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    """A folder as `results` gives it, with its report: HTML and Markdown."""
-    folder = write_results(tmp_path_factory.mktemp("report"))
-    return folder, *(path.read_text() for path in build_report(folder))
-
-
-@pytest.fixture
-def results(tmp_path):
-    return write_results(tmp_path)
-
-
-def write_results(tmp_path):
-    """A folder with curves of one case, one part of an unknown layout, and one that failed."""
-    methods = {}
-    for name in METHODS:
-        ours = "NCV" in name
-        methods[name] = {
-            "validation": {"spp": 64, "z": 0.5, "valid": True},
-            "points": OURS if ours else PLAIN,
-        }
-    found = bench_curves.curves_of(methods)
-    case = {
-        "scene": "box",
-        "integrand": "direct",
-        "reference": {"spp": 99, "seconds": 1.0, "cached": False, "mse": 1e-9, "relmse": 1e-9, "z": 0.1},
-        "methods": methods,
-        "crossovers": bench_curves.crossovers(found),
-        "auto": bench_curves.auto_rows(methods, found),
-        "equal_error": {SOBOL: PLAIN[-1], DEFAULT: OURS[-2]},
-    }
-    data = {"device": "none", "size": 8, "spps": SPPS, "repeats": 1, "left_out": {"stratified": "so"}}
-    broken = {"scene": "fog", "integrand": "direct", "failed": "its halves disagree"}
-    (tmp_path / "curves.json").write_text(json.dumps({**data, "cases": [case, broken]}))
-    scaling = {"stages": [{"points": 64, "seconds": 0.25}, {"points": 256, "seconds": 1.0}]}
-    (tmp_path / "scaling.json").write_text(json.dumps(scaling))
-    (tmp_path / "mitsuba.json").write_text(json.dumps({"samples_per_second_ratio": 0.5}))
-    (tmp_path / "planar.json").write_text("{")
-    failed = {"part": "gi", "command": "ncv-cl bench gi", "date": "today", "status": "failed",
-              "seconds": 1.0, "load": 0.0, "message": "ZeroDivisionError: no light"}  # fmt: skip
-    (tmp_path / "runs.json").write_text(json.dumps({"machine": {"cores": 2}, "runs": {"gi": failed}}))
-    return tmp_path
-
-
-def test_report_has_every_section_and_names_what_is_missing(built):
-    _, html, text = built
-    titles = re.findall(r"^## (.*)$", text, flags=re.MULTILINE)
-    assert titles[:2] == ["What was found", "Machine and runs"] and titles[-1] == "Left out"
-    assert {part.title for name, part in PARTS.items() if name != "curves"} <= set(titles)
-    assert [title for title in titles if title.startswith(("Error", "Crossover", "How auto", "Where"))]
-    assert all(
-        f'<h2 id="s{n}">{title}' in html.replace("&#39;", "'") for n, title in enumerate(titles, 1)
-    )
-    left = text[text.index("## Left out") :]
-    for missing in ("pictures", "device", "gi", "planar", "curves: stratified"):
-        assert f"| {missing} |" in left
-    assert "ZeroDivisionError: no light" in text and "planar.json cannot be read" in left
-
-
-def test_report_is_one_file_and_says_how_to_make_its_figures_again(built):
-    results, html, text = built
-    figures = re.findall(r"!\[.*\]\((.*)\)", text)
-    assert len(figures) == 6 and all((results / name).stat().st_size > 1000 for name in figures)
-    assert html.count("data:image/png;base64,") == len(figures) and "http" not in html
-    assert text.count("`ncv-cl bench curves`") == len(figures)
-
-
-def test_findings_are_made_of_the_numbers(built):
-    folder, _, text = built
-    assert f"pays from {CROSSING:.0f} samples of Sobol Monte Carlo on (4.00 s)" in text
-    assert f"{shown(40.96 / 22.48)} times faster" in text
-    assert (
-        "samples per second, against Mitsuba's usual way: ours over Mitsuba's 0.500, ours loses" in text
-    )
-    assert "auto keeps up: 1.0" in text and "fog direct was not measured: its halves disagree" in text
-    (case, _) = json.loads((folder / "curves.json").read_text())["cases"]
-    for point in case["methods"][DEFAULT]["points"]:
-        point["seconds"] *= 8
-    case["crossovers"] = bench_curves.crossovers(bench_curves.curves_of(case["methods"]))
-    text = curves.why(case)
-    assert (
-        "does not pay up to 4096 samples" in text and f"{shown(8 * 22.48 / 40.96)} times as long" in text
-    )
-
-
-def test_of_two_methods_the_other_is_named_once():
-    methods = {name: {"points": rows} for name, rows in ((SOBOL, PLAIN), (DEFAULT, OURS))}
-    text = curves._least_error({"scene": "attic", "integrand": "direct", "methods": methods})
-    assert text.count("MC, Sobol") == 1 and "attic direct: in 41.0 s" in text
-
-
-def test_a_result_that_cannot_be_shown_costs_no_other(results):
-    (results / "curves.json").write_text(json.dumps({"cases": [{"methods": {}}]}))
-    text = build_report(results)[1].read_text()
-    assert "curves.json could not be shown" in text and "0.250" in text
-
-
-def test_any_json_becomes_tables():
-    rows = [{"a": 1, "b": {"c": 0.5}, "same": "x"}, {"a": 2, "b": {"c": 1.5}, "same": "x"}]
-    (one,) = tables({"rows": [*rows, {"a": 3, "same": "x"}]}, "part")
-    assert one.columns == ["a", "b.c"] and one.caption == "part: rows, same x"
-    assert one.cells() == [["1", "0.500"], ["2", "1.50"], ["3", "–"]]
-    (by_name,) = tables({"first": {"s": 1.0}, "second": {"s": 2.0}}, "part")
-    assert by_name.cells() == [["first", "1.00"], ["second", "2.00"]]
-
-
-GI = {
-    "cases": {
-        "attic": {
-            "throughput": {
-                "million_rays_a_second": 4.0, "ratio": 0.9, "traced": 0.5, "all_traced_ratio": 0.6
-            },
-            "finding": [
-                {
-                    "preset": "slides", "training samples": count, "relative network error": 1 / count,
-                    "share of f": 0.4, "gain": 2.0, "most gain": 2.5,
-                }
-                for count in (64, 1024)
-            ],
-            "runs": {"Sobol": PLAIN, "ncv": OURS},
-            "speedups": {"ncv": 1.5},
-            "crossovers": {"ncv": crossover(Curve.of(PLAIN), Curve.of(OURS)).as_dict()},
-        }
-    }
-}  # fmt: skip
-
-
-def planar(method: str, reduction: float, **more: object) -> dict:
-    return {
-        "integrand": "disk",
-        "method": method,
-        "sampler": "sobol",
-        "variance_reduction": reduction,
-        **more,
-    }
-
-
-@pytest.mark.parametrize(
-    "name, data, said",
-    [
-        (
-            "planar",
-            {"equal_samples": [planar("ours, density", 5.0), planar("normalizing flow", 2.0)]},
-            "disk, equal samples: ours wins: variance reduction 5.00 (ours, density, sobol) against 2",
-        ),
-        (
-            "planar",
-            {"equal_samples": [planar("ours, density", 5.0), planar("polynomial regression", 9.0)]},
-            "disk, equal samples: ours loses",
-        ),
-        (
-            "planar",
-            {
-                "equal_time": [
-                    planar(name, gain, seconds=seconds, ns_a_value=0.0)
-                    for seconds, gains in ((1.0, (3.0, 2.0)), (8.0, (3.0, 4.0)))
-                    for name, gain in zip(("ncv_cl.estimate", "Monte Carlo"), gains, strict=True)
-                ]
-            },
-            "disk, equal time: ours has the least error in 1 of 2 settings.",
-        ),
-        ("planar", {"missing": {"normalizing flow": "needs zuko"}}, "left out: it needs zuko"),
-        ("mitsuba", {"time_to_error_ratio": 4.5}, "ours over Mitsuba's 4.50, ours wins"),
-        ("mitsuba", {"time_to_error_ratio": None}, "not measured or not reached"),
-        (
-            "scaling",
-            {"points": [{"size": n, "seconds": {"total": n / 32}} for n in (64, 128)]},
-            "points: from size 64 to 128 a render takes 2.00 times as long",
-        ),
-        (
-            "device",
-            {
-                "device": "abacus",
-                "checks": [{"subject": "mlp", "error": ""}, {"subject": "fold", "error": "x"}],
-            },
-            "abacus: 1 of 2 checks of kernels against their references pass; fold fail.",
-        ),
-        ("gi", {"findings": ["It is dark."]}, "It is dark."),
-        ("gi", GI, "attic gi: plain path tracing answers 4.00 million rays a second, all in, 0.900 of"),
-        ("gi", GI, "field's variance, but 40.0 % of f's variance is noise of the nested estimate"),
-        ("gi", GI, "attic gi: 4096 Sobol samples take 41.0 s; those over the seconds"),
-        ("gi", GI, "attic gi: the control variate pays from 400 samples of Sobol Monte Carlo on"),
-    ],
-)  # fmt: skip
-def test_other_parts_numbers_become_sentences(tmp_path, monkeypatch, name, data, said):
-    monkeypatch.setattr(others, "_planar_plot", lambda *_: [])
-    found = others.section(PARTS[name], data, tmp_path, "command")
-    assert [text for text in found.findings if said in text], found.findings
+def test_the_full_run_has_an_end():
+    assert sum(part.seconds for part in PARTS.values()) <= FULL_SECONDS
+    names = list(PARTS)
+    gone = 0.0
+    # Each has its own seconds, less what the report takes, even if all before it take all of theirs.
+    for k, name in enumerate(names):
+        limit = run_all._limit(False, FULL_SECONDS, gone, names[k + 1 :])
+        assert limit >= PARTS[name].seconds - run_all.REPORT_SECONDS - 1e-6
+        gone += PARTS[name].seconds
+    assert gone + run_all.REPORT_SECONDS <= FULL_SECONDS + run_all.REPORT_SECONDS
+    # What is left over goes to the next.
+    assert run_all._limit(False, FULL_SECONDS, 0.0, names[2:]) > PARTS[names[0]].seconds
 
 
 @pytest.mark.parametrize(
@@ -314,7 +132,7 @@ def test_a_part_runs_in_a_process_of_its_own(tmp_path, monkeypatch, script, stat
     monkeypatch.setattr("report.parts.BENCH", tmp_path)
     (tmp_path / "part.json").write_text("{}")
     limit = 0.5 if status == "timed out" else 30.0
-    part = Part("part", "part.py", "Part", "nothing")
+    part = Part("part", "part.py", 1.0, "nothing")
     run = run_part(part, tmp_path, False, None, limit, ["--size", "8"])
     assert run.status == status and run.command == 'ncv-cl bench part --options "--size 8"'
     assert ("no light" in run.message) == (status == "failed")
@@ -346,11 +164,9 @@ def test_pictures_are_drawn_at_equal_time(one_device, tmp_path, monkeypatch):
         one_device, bench_pictures.Plan(12, 4, 64), [("plane_light", "direct")], tmp_path
     )
     (case,) = data["cases"]
-    assert (tmp_path / case["picture"]).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert (tmp_path / case["picture"]).read_bytes()[:3] == b"\xff\xd8\xff"
     assert set(case["methods"]) == {SOBOL, DEFAULT}
     assert case["methods"][SOBOL]["samples"] >= 4 and case["methods"][DEFAULT]["mse"] > 0
-    (text, *_) = others.section(PARTS["pictures"], data, tmp_path, "command").findings
-    assert text.startswith("plane_light direct: in")
 
 
 @pytest.mark.skipif(not bench_pictures.has_flip(), reason="this OpenImageIO has no FLIP_diff")

@@ -86,7 +86,8 @@ def test_what_cannot_be_used_is_listed_and_never_chosen(monkeypatch):
     with pytest.raises(DeviceError, match=r"device 1, .* is broken"):
         choose_device(1)
     monkeypatch.setattr(choose, "measure", lambda device: choose.Probe(1.0))
-    usable, unusable = str(devices()).splitlines()
+    usable, unusable, choice = str(devices()).splitlines()
+    assert choice.endswith("[0], the only device that can be used")
     assert "multiply-adds a second" in usable and "not used" not in usable
     assert unusable.startswith(second.describe()) and unusable.endswith("not used: is broken")
 
@@ -105,7 +106,7 @@ def test_a_device_whose_benchmark_fails_does_not_keep_others_from_the_list(monke
     monkeypatch.setattr(choose, "_listed", lambda: listed)
     monkeypatch.setattr(choose, "measure", fail)
     lines = str(devices()).splitlines()
-    assert len(lines) == 3 and "multiply-adds a second" in lines[2]
+    assert len(lines) == 4 and "multiply-adds a second" in lines[2]
     assert all(line.endswith("not used: its benchmark failed (error: no)") for line in lines[:2])
 
 

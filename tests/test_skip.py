@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from every_program import DARK, GLOWING, ROUND
+from test_network import knot_points, random_network
 
+from ncv_cl.estimation import control_variate
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
+from ncv_cl.integrands.light_sources import light_sources
+from ncv_cl.network.fold import FoldedNetwork
+from ncv_cl.network.network import WEIGHT_GROUPS
 from ncv_cl.output.image import Image
-from ncv_cl.points.points import find_points
+from ncv_cl.points.points import ShadingPoints, find_points
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer
 from ncv_cl.rendering.render import render
@@ -15,10 +21,94 @@ from ncv_cl.sampling.samples import SampleSource
 from ncv_cl.scene.load import load_scene
 
 SIZE = (32, 32)
+# Lights of every shape, a sun beside them, and a sun alone.
+SUN = "\n[environment.sun]\nelevation = 20\nirradiance = 2\n"
+LIT = {"round": ROUND, "round, sun": ROUND + SUN, "sun": DARK + SUN}
 
 
 def dark_points(scene, points):
     return DirectLight().dark(scene, points)
+
+
+def dark_reference(scene, points: ShadingPoints) -> np.ndarray:
+    """The same in numpy, float64, light by light."""
+    position, *normals = (
+        points.active_rows(name).astype(np.float64)
+        for name in ("position", "normal", "geometric_normal")
+    )
+    lights = light_sources(scene).lights.bounds()
+    dark = np.ones(points.active, bool)
+    for light in range(lights.strips):
+        below = np.zeros(points.active, bool)
+        for normal in normals:
+            highest = (lights.corners[:, light] @ normal).max(axis=0) + lights.reach[light]
+            below |= highest <= (normal * position).sum(axis=0)
+        if not lights.two_sided[light]:
+            side = lights.normal[light]
+            below |= side @ position <= side @ lights.corner[light]
+        dark &= below
+    suns = scene.environment.suns if scene.environment is not None else ()
+    unseen = [
+        np.all([sun.towards @ normal <= -np.sin(sun.half_angle) - 1e-6 for sun in suns], axis=0)
+        for normal in normals
+    ]
+    return dark & (unseen[0] | unseen[1]) if suns else dark
+
+
+@pytest.mark.parametrize("is_double", [True, False])
+@pytest.mark.parametrize("name", ["cornell_box", "knot", *LIT])
+def test_dark_points_are_those_of_float64(device, scenes, tmp_path, monkeypatch, name, is_double):
+    path = scenes / f"{name}.toml"
+    if name in LIT:
+        path = tmp_path / "lit.toml"
+        # Some of the ball is seen from the side and from below.
+        ball = '[[spheres]]\ncenter = [0, 1, 0]\nradius = 0.5\nmaterial = "floor"\n'
+        path.write_text(LIT[name] + ball, encoding="utf-8")
+    scene = load_scene(path)
+    points = find_points(device, scene, Tracer(scene), *SIZE)
+    expected = dark_reference(scene, points)
+    assert name == "knot" or 0 < expected.sum() < points.active
+    if is_double and device.has_float64:
+        assert np.array_equal(dark_points(scene, points), expected)
+        return
+    monkeypatch.setattr(type(device), "has_float64", False)
+    found = dark_points(scene, points)
+    # No point that something reaches, and nearly all of the others.
+    assert not found[~expected].any()
+    assert found.sum() >= 0.99 * expected.sum()
+
+
+def test_clusters_of_lights_are_taken_for_balls(device, tmp_path):
+    """Of more pieces than strips the point must be beyond all of a strip's."""
+    path = tmp_path / "glowing.toml"
+    path.write_text(GLOWING, encoding="utf-8")
+    scene = load_scene(path)
+    assert light_sources(scene).lights.has_clusters
+    points = find_points(device, scene, Tracer(scene), *SIZE, emitters_active=True)
+    assert np.array_equal(dark_points(scene, points), dark_reference(scene, points))
+
+
+@pytest.mark.parametrize("modulated", [("B1",), WEIGHT_GROUPS])
+def test_idle_neurons_are_those_that_corners_tell(device, scenes, modulated, monkeypatch):
+    monkeypatch.setattr(control_variate, "POINTS_LOOKED_AT", 100)
+    scene, points = knot_points(device, scenes)
+    network = random_network(scene, hidden=(17, 5), modulated=modulated)
+    # Some biases far off: neurons that are zero at all points, or have no line.
+    network.parameters[...] *= 3
+    folded = FoldedNetwork(device, network, points)
+    chosen = np.linspace(0, points.active, 100, endpoint=False).astype(int)
+    weights, biases = (folded.groups[group].read() for group in ("W1", "B1"))
+    weights = weights[chosen] if "W1" in modulated else weights[None]
+    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
+    values = np.einsum("pji,ki->pjk", weights, corners) + biases[chosen][..., None]
+    dead = np.all(values <= 0, axis=2)
+    found = control_variate.idle_neurons(folded, points.active)
+    assert found == {
+        "lines": float(np.mean(dead | np.all(values >= 0, axis=2))),
+        "dead_neurons": float(np.mean(dead)),
+        "dead_in_image": int(dead.all(axis=0).sum()),
+    }
+    assert 0 < found["lines"] < 1
 
 
 @pytest.mark.parametrize("name", ["cornell_box", "occluders", "knot", "veach_plates"])

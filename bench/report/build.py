@@ -1,36 +1,63 @@
-"""From a folder of results to the report: which sections there are, in which order."""
+"""From a folder of results to the report: questions in order, the machine, what is left out."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
-from . import curves, others
-from .document import Paragraph, Section, Table, html, markdown
+from . import svg
+from .document import Answer, Section, Table, html, markdown
 from .parts import PARTS, command_of
+from .questions import machines, network, seconds, truth
+from .questions.common import Question, named
 
-TITLE = "ncv_cl: run time against error"
+TITLE = "ncv_cl: what it takes, and what it gives"
 # What the runs and the machine were is kept beside the results.
 RUNS = "runs.json"
+QUESTIONS = (
+    seconds.QUESTIONS[0],
+    *network.QUESTIONS,
+    *truth.QUESTIONS,
+    *seconds.QUESTIONS[1:],
+    *machines.QUESTIONS,
+)
 
 
 def build_report(folder: Path) -> list[Path]:
-    """Write ``report.html`` and ``report.md`` from the JSON files in `folder`; returns both paths.
+    """Write ``report.html``, ``report.md`` and its figures from the JSON files in `folder`.
 
     Parameters
     ----------
     folder : Path
         Holds ``<part>.json`` of the parts that were run and ``runs.json``, how they went. Whatever is
         missing or broken is named in the report.
+
+    Returns
+    -------
+    list of Path
+        The page, the Markdown, and the figures that stand in the Markdown.
     """
-    record, _ = _read(folder / RUNS)
-    record = record or {"machine": {}, "runs": {}}
-    sections = _sections(folder, record["runs"])
-    document = [_summary(sections), _machine(record), *sections, _left_out(folder, record["runs"])]
+    record = _read(folder / RUNS)[0] or {"machine": {}, "runs": {}}
+    found, missing = {}, {}
+    for part in PARTS:
+        data, why = _read(folder / f"{part}.json")
+        if data is None:
+            missing[part] = _why(record["runs"].get(part, {}), why)
+        else:
+            found[part] = data
+    if "device" in found:
+        # Results of other devices, kept beside those of this one.
+        others = {file.stem: _read(file)[0] for file in sorted(folder.glob("device_*.json"))}
+        found["device"]["others"] = {name: one for name, one in others.items() if one}
+    sections = [_section(question, found, missing, record["runs"]) for question in QUESTIONS]
+    sections += [_machine(record), _left_out(found, missing)]
     files = [folder / "report.html", folder / "report.md"]
-    files[0].write_text(html(TITLE, document, folder), encoding="utf-8")
-    files[1].write_text(markdown(TITLE, document), encoding="utf-8")
+    files[0].write_text(html(TITLE, _about(record), sections, folder), encoding="utf-8")
+    files[1].write_text(markdown(TITLE, sections), encoding="utf-8")
+    for section in sections:
+        if section.answer.figure:
+            files.append(folder / f"{section.answer.figure.name}.svg")
+            files[-1].write_text(svg.standalone(section.answer.figure.svg), encoding="utf-8")
     return files
 
 
@@ -45,41 +72,26 @@ def _read(file: Path) -> tuple[dict | None, str]:
     return (found, "") if isinstance(found, dict) else (None, f"{file.name} holds no object")
 
 
-def _sections(folder: Path, runs: dict[str, dict]) -> list[Section]:
-    """Every part's sections; a part without results has one that says so."""
-    sections = []
-    for part in PARTS.values():
-        data, missing = _read(folder / f"{part.name}.json")
-        run = runs.get(part.name, {})
-        command = run.get("command", command_of(part.name, False))
-        if data is None:
-            text = f"Left out: {part.name} ({part.shows}): {_why(run, missing)}."
-            sections.append(Section(part.title, [Paragraph(text)]))
-            continue
-        # A layout that the report does not expect must not cost the other parts theirs.
-        try:
-            found = _of_part(part.name, data, folder, command)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            text = f"{part.name}.json could not be shown: {type(error).__name__}: {error}."
-            found = [Section(part.title, [Paragraph(text)])]
-        found[0].blocks.insert(0, Paragraph(f"Measured by: {command}, into {part.name}.json."))
-        if run.get("status", "ok") != "ok":
-            text = f"{part.name}: what is shown is incomplete or of an earlier run: {_why(run, '')}."
-            found[0].blocks.insert(1, Paragraph(text, True))
-        sections += found
-    # Results of other devices, kept beside those of this one.
-    for file in sorted(folder.glob("device_*.json")):
-        data, _ = _read(file)
-        if data is not None:
-            part = dataclasses.replace(PARTS["device"], title=f"Device: {file.stem}")
-            sections.append(others.section(part, data, folder, command_of("device", False)))
-    return sections
-
-
-def _of_part(name: str, data: dict, folder: Path, command: str) -> list[Section]:
-    if name == "curves":
-        return curves.sections(data, folder, command)
-    return [others.section(PARTS[name], data, folder, command)]
+def _section(
+    question: Question, found: dict[str, dict], missing: dict[str, str], runs: dict[str, dict]
+) -> Section:
+    own = {part: found[part] for part in question.parts if part in found}
+    absent = [f"{part} ({missing[part]})" for part in question.parts if part in missing]
+    if not own:
+        return Section(question.title, Answer(f"Not measured: {named(absent)}."))
+    # A layout that the report does not expect must not cost the other questions theirs.
+    try:
+        answer = question.answer(own)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, StopIteration) as error:
+        files = named([f"{part}.json" for part in own])
+        answer = Answer(f"{files} could not be shown: {type(error).__name__}: {error}.")
+    if absent:
+        answer.more.append(f"Left out: {named(absent)}.")
+    stale = [part for part in own if runs.get(part, {}).get("status", "ok") != "ok"]
+    if stale:
+        answer.more.append(f"Incomplete or of an earlier run: {named(stale)}.")
+    commands = [runs.get(part, {}).get("command", command_of(part, False)) for part in own]
+    return Section(question.title, answer, commands)
 
 
 def _why(run: dict, missing: str) -> str:
@@ -94,46 +106,50 @@ def _why(run: dict, missing: str) -> str:
     return reasons.get(run.get("status", ""), missing or "not run")
 
 
-def _summary(sections: list[Section]) -> Section:
-    """Every finding, in the order of the sections."""
-    found = Section("What was found")
-    for section in sections:
-        if section.findings:
-            found.blocks.append(Paragraph(f"{section.title}:"))
-            found.blocks += [Paragraph(text, True) for text in section.findings]
-    if not found.blocks:
-        found.blocks.append(Paragraph("No part has results."))
-    return found
+def _about(record: dict) -> str:
+    machine = record["machine"]
+    if not machine:
+        return "Each question has a figure and a sentence made of the numbers; the numbers are below."
+    dates = sorted(run["date"] for run in record["runs"].values())
+    when = f" Measured from {dates[0]} to {dates[-1]}." if dates else ""
+    return (
+        f"ncv_cl {machine.get('ncv_cl', '')} on {machine.get('cores', '?')} cores, "
+        f"{str(machine.get('device', '')).split('|')[0].strip()}.{when} Sentences are made of the "
+        "numbers, where it loses, too."
+    )
 
 
 def _machine(record: dict) -> Section:
-    section = Section("Machine and runs")
-    machine = record["machine"]
-    if machine:
-        section.blocks.append(Table(["", ""], list(machine.items()), "Machine and versions"))
+    runs, bad = record["runs"], []
+    total = sum(run["seconds"] for run in runs.values())
     rows = [
-        [name, run["status"], run["seconds"], run["load"], run["date"], run["command"]]
-        for name, run in record["runs"].items()
+        [name, run["status"], run["seconds"], PARTS[name].seconds, run["load"], run["date"]]
+        for name, run in runs.items()
+        if name in PARTS
     ]
-    columns = ["part", "ended", "seconds", "load before", "date", "command"]
-    if rows:
-        section.blocks.append(Table(columns, rows, "Runs, each in a process of its own"))
-    for name, run in record["runs"].items():
+    bad = [f"{name} {run['status']}" for name, run in runs.items() if run["status"] != "ok"]
+    answer = Answer(
+        f"{len(runs)} parts took {total / 60:.0f} minutes, each in a process of its own"
+        + (f"; {named(bad)}." if bad else "; all ended well.")
+    )
+    columns = ["part", "ended", "seconds", "of at most", "load before", "date"]
+    answer.table = Table(columns, rows, "Runs")
+    if record["machine"]:
+        answer.details.append(Table(["", ""], list(record["machine"].items()), "Machine and versions"))
+    for name, run in runs.items():
         if run["status"] in ("failed", "timed out") and run["message"]:
-            lines = run["message"].replace("\n", " ⏎ ")
-            section.blocks.append(Paragraph(f"The last lines of {name}: {lines}"))
-    return section
+            answer.more.append(f"The last lines of {name}: {' ⏎ '.join(run['message'].splitlines())}")
+    return Section("Which machine, which runs?", answer)
 
 
-def _left_out(folder: Path, runs: dict[str, dict]) -> Section:
+def _left_out(found: dict[str, dict], missing: dict[str, str]) -> Section:
     """What the report does not have, by name."""
-    rows = []
-    for part in PARTS.values():
-        data, missing = _read(folder / f"{part.name}.json")
-        if data is None:
-            rows.append([part.name, part.shows, _why(runs.get(part.name, {}), missing)])
-        elif isinstance(data.get("left_out"), dict):
-            rows += [[f"{part.name}: {what}", "", why] for what, why in data["left_out"].items()]
+    rows = [[part, PARTS[part].shows, why] for part, why in missing.items()]
+    for part, data in found.items():
+        if isinstance(data.get("left_out"), dict):
+            rows += [[f"{part}: {what}", "", why] for what, why in data["left_out"].items()]
     if not rows:
-        return Section("Left out", [Paragraph("Nothing was left out.")])
-    return Section("Left out", [Table(["what", "which shows", "why"], rows)])
+        return Section("What is left out?", Answer("Nothing."))
+    answer = Answer(f"{len(rows)} things that could be here are not: see the table.")
+    answer.table = Table(["what", "which shows", "why"], rows)
+    return Section("What is left out?", answer)

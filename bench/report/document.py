@@ -1,4 +1,4 @@
-"""A document of paragraphs, tables and figures, and how it becomes HTML and Markdown."""
+"""What the report consists of: questions, answers, figures and tables; and how it is written."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from pathlib import Path
 
 import jinja2
 
+from . import svg
 
-@dataclass(frozen=True)
-class Paragraph:
-    """Plain text; `finding` ones are what was measured, said in a sentence."""
-
-    text: str
-    finding: bool = False
-    kind: str = "paragraph"
+# Rows of a table in the Markdown, which is to be read; the page has all.
+MARKDOWN_ROWS = 16
+_KINDS = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
 @dataclass(frozen=True)
@@ -35,25 +32,67 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A PNG file in the report's folder, and the command that makes it again."""
+    """A drawing, which is also written as `name`.svg."""
+
+    name: str
+    svg: str
+    caption: str
+    kind: str = "figure"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image file of the report's folder."""
 
     file: str
     caption: str
-    command: str
-    kind: str = "figure"
+    kind: str = "picture"
+
+
+@dataclass
+class Answer:
+    """What the numbers say to a question.
+
+    Attributes
+    ----------
+    sentence : str
+        The answer, made of the numbers.
+    more : list of str
+        Further sentences: where it does not hold, and what it is measured by.
+    figure : Figure, optional
+    table : Table, optional
+        The numbers of the figure; the Markdown shows it as well.
+    details : list
+        Tables, figures and pictures that the page folds away.
+    """
+
+    sentence: str
+    more: list[str] = field(default_factory=list)
+    figure: Figure | None = None
+    table: Table | None = None
+    details: list[Table | Figure | Picture] = field(default_factory=list)
 
 
 @dataclass
 class Section:
-    """A heading and what stands below it."""
+    """A question as it stands in the report, and the commands that measure its parts again."""
 
     title: str
-    blocks: list[Paragraph | Table | Figure] = field(default_factory=list)
+    answer: Answer
+    commands: Sequence[str] = ()
 
     @property
-    def findings(self) -> list[str]:
-        """The sentences that say what was measured."""
-        return [b.text for b in self.blocks if isinstance(b, Paragraph) and b.finding]
+    def anchor(self) -> str:
+        return "-".join(word for word in "".join(_plain(self.title)).split())
+
+    @property
+    def figures(self) -> list[Figure]:
+        own = [self.answer.figure] if self.answer.figure else []
+        return own + [block for block in self.answer.details if isinstance(block, Figure)]
+
+
+def _plain(title: str) -> str:
+    return "".join(c for c in title.lower() if c.isalnum() or c == " ")
 
 
 def shown(value: object) -> str:
@@ -78,72 +117,47 @@ def shown(value: object) -> str:
     return str(value)
 
 
-def markdown(title: str, sections: list[Section]) -> str:
-    """The document as Markdown; figures lie beside it."""
+def markdown(title: str, sections: Sequence[Section]) -> str:
+    """The document as Markdown; figures lie beside it, details are left to the page."""
     lines = [f"# {title}", ""]
     for section in sections:
-        lines += [f"## {section.title}", ""]
-        for block in section.blocks:
-            if isinstance(block, Paragraph):
-                lines += [f"- {block.text}" if block.finding else block.text, ""]
-            elif isinstance(block, Table):
-                lines += [f"**{block.caption}**", ""] if block.caption else []
-                lines += _markdown_table(block)
-            else:
-                lines += [f"![{block.caption}]({block.file})", "", f"{block.caption} `{block.command}`"]
-                lines += [""]
+        answer = section.answer
+        lines += [f"## {section.title}", "", answer.sentence, ""]
+        lines += [line for text in answer.more for line in (f"- {text}", "")]
+        if answer.figure:
+            lines += [f"![{answer.figure.caption}]({answer.figure.name}.svg)", ""]
+        if answer.table:
+            lines += _markdown_table(answer.table)
+        if section.commands:
+            lines += [f"Measured by {', '.join(f'`{one}`' for one in section.commands)}.", ""]
     return "\n".join(lines)
 
 
 def _markdown_table(table: Table) -> list[str]:
-    rows = [list(map(str, table.columns)), ["---"] * len(table.columns), *table.cells()]
-    return [*("| " + " | ".join(c.replace("|", "\\|") for c in row) + " |" for row in rows), ""]
+    cells = table.cells()
+    rows = [list(map(str, table.columns)), ["---"] * len(table.columns), *cells[:MARKDOWN_ROWS]]
+    lines = [f"**{table.caption}**", ""] if table.caption else []
+    lines += ["| " + " | ".join(c.replace("|", "\\|") for c in row) + " |" for row in rows]
+    if len(cells) > MARKDOWN_ROWS:
+        lines += ["", f"The first {MARKDOWN_ROWS} of {len(cells)} rows."]
+    return [*lines, ""]
 
 
-_PAGE = jinja2.Template(
-    """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; }
-body { max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
-h2 { border-bottom: 1px solid #ccc; margin-top: 2.5rem; }
-table { border-collapse: collapse; font-size: 13px; margin: 0.5rem 0 1.5rem; }
-caption { text-align: left; font-weight: 600; padding: 0.3rem 0; }
-th, td { padding: 0.2rem 0.6rem; border-bottom: 1px solid #ddd; text-align: right; }
-th:first-child, td:first-child { text-align: left; }
-th { background: #f4f4f4; }
-.scroll { overflow-x: auto; }
-.finding { border-left: 3px solid #47a; padding-left: 0.8rem; }
-figure { margin: 1rem 0 2rem; } img { max-width: 100%; } figcaption { font-size: 13px; }
-code, pre { background: #f4f4f4; padding: 0.1rem 0.3rem; font-size: 13px; }
-</style></head><body>
-<h1>{{ title }}</h1>
-<ul>
-{% for section in sections %}<li><a href="#s{{ loop.index }}">{{ section.title }}</a></li>
-{% endfor %}</ul>
-{% for section in sections %}<h2 id="s{{ loop.index }}">{{ section.title }}</h2>
-{% for block in section.blocks %}
-{% if block.kind == "paragraph" %}<p class="{{ "finding" if block.finding }}">{{ block.text }}</p>
-{% elif block.kind == "table" %}<div class="scroll"><table>
-{% if block.caption %}<caption>{{ block.caption }}</caption>{% endif %}
-<tr>{% for column in block.columns %}<th>{{ column }}</th>{% endfor %}</tr>
-{% for row in block.cells() %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}</table></div>
-{% else %}<figure><img alt="{{ block.caption }}" src="data:image/png;base64,{{ inline(block.file) }}">
-<figcaption>{{ block.caption }} <code>{{ block.command }}</code></figcaption></figure>
-{% endif %}{% endfor %}{% endfor %}
-</body></html>
-""",
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
-
-
-def html(title: str, sections: list[Section], folder: Path) -> str:
+def html(title: str, about: str, sections: Sequence[Section], folder: Path) -> str:
     """The document as one HTML file that needs no other: pictures of `folder` are inlined."""
 
     def inline(file: str) -> str:
-        return base64.b64encode((folder / file).read_bytes()).decode("ascii")
+        path = folder / file
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        return f"data:{_KINDS[path.suffix]};base64,{data}"
 
-    return _PAGE.render(title=title, sections=sections, inline=inline)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.jinja").render(
+        title=title, about=about, sections=sections, inline=inline, light=svg.style(False),
+        dark=svg.style(True),
+    )  # fmt: skip

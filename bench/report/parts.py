@@ -21,11 +21,17 @@ LAST_LINES = 15
 
 @dataclass(frozen=True)
 class Part:
-    """One script, what heads its section, and what is missing without it."""
+    """One script and what is missing without it.
+
+    Attributes
+    ----------
+    seconds : float
+        What the full run may take of it, on two cores; see `FULL_SECONDS`.
+    """
 
     name: str
     script: str
-    title: str
+    seconds: float
     shows: str
 
     @property
@@ -33,29 +39,41 @@ class Part:
         return BENCH / self.script
 
 
+# The full run ends within this. A part has its own seconds, and what those before it have left.
+FULL_SECONDS = 2700.0
 PARTS = {
     part.name: part
     for part in (
-        Part("curves", "bench_curves.py", "Whole renders",
-             "error against time of every method, the crossovers, auto, the slides' table"),
-        Part("equal", "bench_equal.py", "Seconds to equal error",
-             "the control variate against independent, Sobol and pilot-allocated Monte Carlo"),
-        Part("pictures", "bench_pictures.py", "Pictures at equal time",
-             "picture strips, error maps and FLIP at equal time"),
-        Part("planar", "bench_planar.py", "The slides' two-dimensional experiments, with peers",
-             "automatic integration, flows and regression as control variates of planar integrands"),
-        Part("mitsuba", "compare_mitsuba.py", "Beside Mitsuba 3",
-             "speed and time to error against a renderer that users already have"),
-        Part("gi", "bench_gi.py", "Global illumination",
-             "control variates for nested integrals with noisy estimates"),
-        Part("scaling", "bench_scaling.py", "Scaling",
-             "cost of stages against points, width, depth, triangles and threads; memory"),
-        Part("device", "bench_device.py", "Device",
-             "validation and time of every stage on this device"),
-        Part("integrate", "bench_integrate.py", "Exact integration",
-             "cost of the exact integral, and beside quadrature"),
-        Part("network", "bench_network.py", "Inference", "cost of the network's evaluation"),
-        Part("train", "bench_train.py", "Training", "residual variance against training's seconds"),
+        Part("static", "bench_static.py", 10,
+             "what GPUs' compilers make of the kernels, and the paper model"),
+        Part("curves", "bench_curves.py", 200, "error against seconds of every method; crossovers"),
+        # After the curves, whose references it takes.
+        Part("pictures", "bench_pictures.py", 60, "pictures, error maps and FLIP at equal time"),
+        Part("equal", "bench_equal.py", 170,
+             "seconds to equal error, absolute and relative, of all ways"),
+        Part("gi", "bench_gi.py", 160, "global illumination: rays a second, nested noise, equal error"),
+        Part("gi_equal", "bench_gi_equal.py", 230,
+             "global illumination to equal error, absolute and relative"),
+        Part("auto", "bench_auto.py", 450, "what auto chooses in scenes that no number was tuned on"),
+        Part("lines", "bench_lines.py", 60, "direct light along lines beside points"),
+        Part("slices", "bench_slices.py", 70, "ambient occlusion by slices beside rays"),
+        Part("lights", "bench_lights.py", 60, "variance and cost of 1 to 1000 lights"),
+        Part("mesh_lights", "bench_mesh_lights.py", 30, "what a mesh that emits costs"),
+        Part("integrate", "bench_integrate.py", 130, "errors and cost of the exact integral"),
+        Part("mitsuba", "compare_mitsuba.py", 150, "agreement with Mitsuba 3, and speed beside it"),
+        Part("peers", "bench_peers.py", 170,
+             "Mitsuba in every scene, Radiance at sensors, view factors of others"),
+        Part("planar", "bench_planar.py", 160, "other control variates of planar integrands"),
+        Part("sensors", "bench_sensors.py", 50, "direct light at sensors, beside Radiance"),
+        Part("bake", "bench_bake.py", 40, "baked maps: seconds and errors"),
+        Part("filters", "bench_filters.py", 70, "points a pixel and filters: error and cost of edges"),
+        Part("rays", "bench_rays.py", 40, "rays a second by embree and by kernels"),
+        Part("executors", "bench_executors.py", 70, "cost of rendering by worker processes"),
+        Part("scaling", "bench_scaling.py", 120,
+             "seconds and memory against points, width, triangles, threads"),
+        Part("device", "bench_device.py", 90, "checks and times of every stage on this device"),
+        Part("network", "bench_network.py", 10, "cost of the network's evaluation"),
+        Part("train", "bench_train.py", 100, "residual variance against training's seconds"),
     )
 }  # fmt: skip
 

@@ -163,3 +163,11 @@ kernel void placed_points(const uint total_points, global const float *restrict 
   surface[ROW_DETACHED * (ulong)total_points + point] = detached[point];
   store_material(surface, total_points, point, materials + (ulong)point_material[point] * MATERIAL_FLOATS, is_front);
 }
+
+/* Work-item (i, r): row r of the point that is taken i-th. */
+kernel void take_points(const uint count, const uint total_points, global const uint *restrict order,
+                        global const float *restrict surface, global float *restrict taken) {
+  const uint i = (uint)get_global_id(0);
+  const ulong row = get_global_id(1);
+  if (i < count) taken[row * count + i] = surface[row * total_points + order[i]];
+}

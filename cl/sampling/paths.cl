@@ -1,8 +1,9 @@
-/* Paths behind the first bounce, a wavefront at a time: kernels between the rays that the host traces.
+/* Paths behind the first bounce, a wavefront at a time: kernels between rays that the host or other kernels trace.
  *
  *   begin_paths   (u, v) of a batch's samples to the first ray of each path
  *   shade_hits    what rays hit: emission, a shadow ray to a light, the next ray
  *   add_lit       adds what shadow rays found visible
+ *   end_wave      counts a wave's rays, and leaves it empty
  *   finish_paths  direct light with its visibility, plus what the path brought: the samples' complete values
  *
  * A path is named by its sample's place in the batch (samples.cl), where `radiance` sums what it brings:
@@ -15,17 +16,20 @@
  * there, and half of its cost lies before.
  *
  * Where the scene is of few triangles (CASTERS, shadow.cl and closest.cl), shade_hits finds itself what rays hit, and
- * answers its shadow rays, which it only counts: the host has nothing to trace, and add_lit nothing to add.
+ * answers its shadow rays, which it only counts: nobody else has anything to trace, and add_lit nothing to add.
  *
  * vertex.cl has what happens at a surface. `triangles`: its records.
  *
- * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item handles VEC
- * paths. Arrays are a whole number of vectors long; what lies past `count` is read and not used.
+ * Work-group contract: one-dimensional, any size; where VEC is 1 begin_paths and shade_hits have barriers, and two words
+ * of local memory (wave.cl). A work-item handles VEC paths. Of the kernels that read a wave there may be any number of
+ * work-items: each goes on with the rays that come a whole launch after its own. Arrays are a whole number of vectors
+ * long; what lies past the last ray is read and not used.
  */
 
 /* What branches add to the numbers of points, of which there are fewer, for other random numbers. */
 #define BRANCH_SEED 0x20000000u
 
+#if !FOLLOWED
 kernel void begin_paths(const uint first_point, const uint point_count, const uint total_points,
                         const uint sample_count, const uint stride, const uint max_depth,
                         global const uint *restrict order, global const float *restrict surface,
@@ -33,12 +37,15 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
                         global const float *restrict v, global float *restrict radiance, global float *restrict hits,
                         const uint plane, global float *restrict wave) {
   const uint blocks = stride / VEC;
-  const uint item = (uint)get_global_id(0);
-  if (item >= point_count * blocks) return;
+  const uint items = point_count * blocks;
+  const bool is_item = get_global_id(0) < items;
+  if (VEC > 1 && !is_item) return;
+  GROUP_WORDS(words);
+  const uint item = min((uint)get_global_id(0), items - 1);
   const ulong at = (ulong)item * VEC;
   const ShadingPoint p = load_shading_point(surface, total_points, order[first_point + item / blocks]);
   const Scatterer s = scatterer_of(&p);
-  for (uint branch = 0; branch < SLOTS; ++branch) {
+  for (uint branch = 0; is_item && branch < SLOTS; ++branch) {
     const ulong own = at + branch * (ulong)point_count * stride;
     for (uint k = 0; k < RADIANCE_FLOATS; ++k) STORE((real)0.0f, radiance + own * RADIANCE_FLOATS + k * VEC);
   }
@@ -64,7 +71,8 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
 #if HAS_GLASS
   if (p.eta != 0.0f) enter_glass(&s, &p, LOAD(u + at), LOAD(v + at), &ray);
 #endif
-  whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count);
+  whole alive = (largest_of(ray.throughput) > 0.0f) && (LANE_NUMBER + (item % blocks) * VEC < sample_count) &&
+                (whole)(is_item ? -1 : 0);
   /* Without surfaces whose emission paths alone find, one of depth 2 can only bring light if its ray may find a light. */
   const uint last_of_use = HAS_HIDDEN_EMISSION ? 1u : 2u;
   if (max_depth <= last_of_use) alive = alive && (ray.density > 0.0f);
@@ -72,13 +80,18 @@ kernel void begin_paths(const uint first_point, const uint point_count, const ui
   /* Without colour: what others make of the path is of other colours. */
   const real begun = mean_of(ray.throughput);
   ray.throughput = (triple){begun, begun, begun};
-  STORE((real)0.0f, hits + SHARED_OFFSET * (ulong)point_count * stride + at);
-  STORE(begun, hits + SHARED_BEGUN * (ulong)point_count * stride + at);
+  if (is_item) {
+    STORE((real)0.0f, hits + SHARED_OFFSET * (ulong)point_count * stride + at);
+    STORE(begun, hits + SHARED_BEGUN * (ulong)point_count * stride + at);
+  }
 #else
   (void)hits;
 #endif
-  append_rays(&ray, alive, 0, plane, wave);
+  const Sink to = {plane, wave, words};
+  give_rays(&ray, alive, 0, &to);
 }
+
+#endif
 
 /* Adds to the sums of lanes that are `here`. */
 void add_radiance(const triple brought, const bits path, const whole here, global float *restrict radiance) {
@@ -97,61 +110,52 @@ void add_radiance(const triple brought, const bits path, const whole here, globa
     }
 }
 
-/* Rays of `bounce` (the first is 1) and their hits. */
-kernel void shade_hits(const uint count, const uint max_depth, const uint bounce,
-                       const uint first_point, const uint first_id, const uint first_sample, const uint stride,
-                       const float inverse_stride,
-                       const uint stream, const uint seed_low, const uint seed_high, const uint places,
-                       global const uint *restrict order, global const float *restrict triangles,
-                       global const uint *restrict textures, global const half *restrict texels,
-                       global const float *restrict lights,
-                       global const float *restrict casters, global const float *restrict guide_frame,
-                       global const uint *restrict guide, global const float *restrict guide_known,
-                       global uint *restrict guide_place, global float *restrict hits, const uint plane,
-                       global const float *restrict wave,
-                       global float *restrict radiance, const uint next_plane, global float *restrict next_wave) {
-  const uint first = (uint)get_global_id(0) * VEC;
-  if (first >= count) return;
-  const whole here = LANE_NUMBER + first < (bits)count;
-  const triple origin = load_planes(wave, WAVE_ORIGIN, plane, first);
-  const triple direction = load_planes(wave, WAVE_DIRECTION, plane, first);
+/* What all paths of a batch have in common. */
+#define PATHS_PARAMETERS                                                                                              \
+  const uint max_depth, const uint first_point, const uint first_id, const uint first_sample, const uint stride,      \
+      const float inverse_stride, const uint stream, const uint seed_low, const uint seed_high, const uint places,    \
+      global const uint *restrict order, global const float *restrict triangles, global const uint *restrict textures, \
+      global const half *restrict texels, global const float *restrict lights, global const float *restrict casters,  \
+      global const float *restrict guide_frame, global const uint *restrict guide,                                    \
+      global const float *restrict guide_known, global uint *restrict guide_place, global float *restrict hits,       \
+      global float *restrict radiance
+#define PATHS_ARGUMENTS                                                                                               \
+  max_depth, first_point, first_id, first_sample, stride, inverse_stride, stream, seed_low, seed_high, places, order, \
+      triangles, textures, texels, lights, casters, guide_frame, guide, guide_known, guide_place, hits, radiance
+
+/* Rays of `bounce` (the first is 1) and their hits; the rays that follow go `to` where they are kept. */
+void shade(const Ray *from, const Hit *found_hit, const whole here, const uint bounce, PATHS_PARAMETERS,
+#if !FOLLOWED
+           const
+#endif
+           Sink *to) {
+  const Hit hit = *found_hit;
+  const triple origin = from->origin;
+  const triple direction = from->direction;
   const triple outgoing = {-direction.x, -direction.y, -direction.z};
-#if CASTERS
-  const Hit hit = closest_hit(casters, origin, direction, here);
-#else
+#if !CASTERS
   (void)casters;
-  const Hit hit = {SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here),
-                   LOAD(PLANE(wave, WAVE_DISTANCE) + first), LOAD(PLANE(wave, WAVE_U) + first),
-                   LOAD(PLANE(wave, WAVE_V) + first)};
 #endif
   const whole at = max(hit.triangle, (whole)0) * TRIANGLE_FLOATS;
   Ray ray;
-  ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
-  /* Lanes past the last ray may read a path number of an earlier, larger batch. */
-  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
+  ray.throughput = from->throughput;
+  ray.path = from->path;
   const whole light = TO_WHOLE(gather(triangles, at + TRIANGLE_LIGHT));
   const whole met = hit.triangle >= 0;
   triple brought = {(real)0.0f, (real)0.0f, (real)0.0f};
 
 #if HAS_PANES
-  const real behind = LOAD(PLANE(wave, WAVE_BEHIND) + first);
-  const real passed = SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_PASSED) + first), here);
+  const real behind = from->behind;
+  const real passed = from->passed;
 #endif
   /* A light ends the path. */
   const whole on_light = met && (light >= 0);
   if (ANY(on_light)) {
-    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if HAS_ROWS
-    /* Lanes past the last ray hold anything. */
-    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), on_light);
-#else
-    const whole left = all_strips(lights);
-#endif
 #if HAS_PANES
-    const triple found = light_met(lights, left, light, sum_of(origin, direction, -behind), direction,
-                                   hit.distance + behind, density);
+    const triple found = light_met(lights, from->strips, light, sum_of(origin, direction, -behind), direction,
+                                   hit.distance + behind, from->density);
 #else
-    const triple found = light_met(lights, left, light, origin, direction, hit.distance, density);
+    const triple found = light_met(lights, from->strips, light, origin, direction, hit.distance, from->density);
 #endif
     brought = sum_where(brought, product(ray.throughput, found), on_light);
   }
@@ -159,8 +163,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   /* So does leaving the scene. */
   const whole outside = here && !met;
   if (ANY(outside)) {
-    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), outside);
-    const triple found = sky_met(lights, left, direction, LOAD(PLANE(wave, WAVE_DENSITY) + first));
+    const triple found = sky_met(lights, from->strips, direction, from->density);
     brought = sum_where(brought, product(ray.throughput, found), outside);
   }
 #endif
@@ -175,14 +178,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   /* A surface that is sampled as a light, too: -2 less its number. */
   const whole sampled = on_surface && (light < -1);
   if (ANY(sampled)) {
-    const real density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if HAS_ROWS
-    const whole left = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), sampled);
-#else
-    const whole left = all_strips(lights);
-#endif
     const whole record = LIGHT_FLOATS * max(-2 - light, (whole)0);
-    const real weight = light_weight(lights, left, record, origin, direction, hit.distance, density);
+    const real weight = light_weight(lights, from->strips, record, origin, direction, hit.distance, from->density);
     emitted = scaled(emitted, SELECT((real)1.0f, weight, sampled));
   }
 #endif
@@ -204,7 +201,8 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   const whole depth = TO_WHOLE((real)bounce - passed) + 2;
   const whole is_lit = depth <= (int)max_depth;
   on_surface = on_surface && (is_lit || (s.eta < 0.0f));
-  if (!ANY(on_surface)) {
+  /* Not where the work-items of a group give their rays together. */
+  if (VEC > 1 && !ANY(on_surface)) {
 #else
   if (bounce + 2 > max_depth) {
 #endif
@@ -269,7 +267,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   shadow.strips = ray.strips;
   const whole is_cast = lit && (largest_of(shadow.throughput) > 0.0f);
 #if CASTERS
-  count_shadow_rays(is_cast, next_wave);
+  count_shadow_rays(is_cast, to);
   const whole reached = reaches_light(casters, shadow.origin, shadow.direction, is_cast);
 #if SHARED && HAS_SPECULAR
   if (bounce == 1)
@@ -278,7 +276,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #endif
     brought = sum_where(brought, shadow.throughput, reached);
 #else
-  append_rays(&shadow, is_cast, 1, next_plane, next_wave);
+  give_rays(&shadow, is_cast, 1, to);
 #endif
 
 #if GUIDED || RECORDED
@@ -304,11 +302,7 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
   (void)guide_place;
 #endif
 #if HAS_PANES
-  Ray before = ray;
-  before.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
-#if HAS_ROWS
-  before.strips = AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first));
-#endif
+  Ray before = *from;
   before.behind = behind + hit.distance;
   before.passed = passed;
 #endif
@@ -335,18 +329,51 @@ kernel void shade_hits(const uint count, const uint max_depth, const uint bounce
 #if SHARED && HAS_SPECULAR
     if (bounce == 1) keep_matte(&s, next.direction, branch, on_surface, ray.path, places, hits);
 #endif
-    append_rays(&next, alive, 0, next_plane, next_wave);
+    give_rays(&next, alive, 0, to);
   }
   /* What roulette is expected to find may be negative. */
   add_radiance(brought, ray.path, here, radiance);
 }
 
-kernel void add_lit(const uint count, const uint plane, global const float *restrict wave,
-                    global float *restrict radiance) {
-  const uint ray = (uint)get_global_id(0);
-  if (ray >= count || ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) return;
-  global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
-  for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
+#if !FOLLOWED
+kernel void shade_hits(const uint bounce, PATHS_PARAMETERS, const uint plane, global const float *restrict wave,
+                       const uint next_plane, global float *restrict next_wave) {
+  GROUP_WORDS(words);
+  const Sink to = {next_plane, next_wave, words};
+  const uint count = rays_of(wave);
+  const uint step = (uint)get_global_size(0) * VEC;
+  /* Where VEC is 1 a group goes on while one of its work-items has a ray. */
+  const uint ahead = VEC == 1 ? (uint)get_local_id(0) : 0u;
+  for (uint own = (uint)get_global_id(0) * VEC; own - ahead < count; own += step) {
+    const whole here = LANE_NUMBER + own < (bits)count;
+    const uint first = VEC == 1 ? min(own, count - 1) : own;
+    const Ray ray = load_ray(wave, plane, first, here, lights);
+#if CASTERS
+    const Hit hit = closest_hit(casters, ray.origin, ray.direction, here);
+#else
+    const Hit hit = {SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here),
+                     LOAD(PLANE(wave, WAVE_DISTANCE) + first), LOAD(PLANE(wave, WAVE_U) + first),
+                     LOAD(PLANE(wave, WAVE_V) + first)};
+#endif
+    shade(&ray, &hit, here, bounce, PATHS_ARGUMENTS, &to);
+  }
+}
+
+kernel void add_lit(const uint plane, global const float *restrict wave, global float *restrict radiance) {
+  const uint count = shadow_rays_of(wave);
+  for (uint ray = (uint)get_global_id(0); ray < count; ray += (uint)get_global_size(0)) {
+    if (((global const uchar *)PLANE(wave, WAVE_LIT))[ray] == 0) continue;
+    global float *sum = radiance + as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray]) * (ulong)RADIANCE_FLOATS;
+    for (uint channel = 0; channel < 3; ++channel) sum[channel] += PLANE(wave, WAVE_SHADOW_THROUGHPUT + channel)[ray];
+  }
+}
+
+/* One work-item; `rays` counts those of both kinds. */
+kernel void end_wave(global float *restrict wave, global ulong *restrict rays) {
+  if (get_global_id(0) != 0) return;
+  global uint *header = (global uint *)wave;
+  rays[0] += (ulong)header[0] + header[COUNT_STEP];
+  header[0] = header[COUNT_STEP] = 0;
 }
 
 /* `most` caps what a path brings, by its largest channel. */
@@ -368,3 +395,4 @@ kernel void finish_paths(const uint count, const float most, global const uint *
   STORE(FMA(LOAD(value + count + at), seen, brought.y * scale), value + count + at);
   STORE(FMA(LOAD(value + 2 * (ulong)count + at), seen, brought.z * scale), value + 2 * (ulong)count + at);
 }
+#endif

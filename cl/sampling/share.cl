@@ -25,11 +25,11 @@
  *
  * Joined after place.cl. With SHARES_DENSITY (warp.cl) samples follow the records in `density`.
  *
- * Work-group contract: one-dimensional, any size, no local memory, no barriers; a work-item of share_rays and
- * share_paths has VEC samples of all members of a group.
+ * Work-group contract: one-dimensional, any size; where VEC is 1 share_rays has barriers, and two words of local memory
+ * (wave.cl). A work-item of share_rays and share_paths has VEC samples of all members of a group.
  */
 
-#if SHARED
+#if SHARED && !FOLLOWED
 /* A point of a group. */
 typedef struct {
   triple origin, geometric_normal;
@@ -95,13 +95,15 @@ kernel void share_rays(const uint first_point, const uint point_count, const uin
                        global const float *restrict own_u,
                        global uchar *restrict visible, const uint plane, global float *restrict wave) {
   const uint blocks = stride / VEC;
-  const uint item = (uint)get_global_id(0);
-  if (item >= point_count / MEMBERS * blocks) return;
+  const uint items = point_count / MEMBERS * blocks;
+  const bool is_item = get_global_id(0) < items;
+  if (VEC > 1 && !is_item) return;
+  GROUP_WORDS(words);
+  const Sink to = {plane, wave, words};
+  const uint item = min((uint)get_global_id(0), items - 1);
   const uint first = item / blocks * MEMBERS;
   const uint block = item % blocks * VEC;
-#if CASTERS
-  (void)plane;
-#else
+#if !CASTERS
   (void)casters;
 #endif
   for (uint j = 0; j < MEMBERS; ++j) {
@@ -114,11 +116,11 @@ kernel void share_rays(const uint first_point, const uint point_count, const uin
       const ulong entry = ((first + k) * (ulong)MEMBERS + j) * stride + block;
       const Member member = load_member(surface, total_points, order[first_point + first + k]);
       Ray ray;
-      const whole open = (place_density(&member, &place, &ray.direction) > 0.0f) && (whole)(k != j ? -1 : 0);
+      const whole open = (place_density(&member, &place, &ray.direction) > 0.0f) && (whole)(k != j && is_item ? -1 : 0);
       ray.origin = member.origin;
       ray.direction = (triple){end.x - ray.origin.x, end.y - ray.origin.y, end.z - ray.origin.z};
 #if CASTERS
-      count_shadow_rays(open, wave);
+      count_shadow_rays(open, &to);
       const whole seen = reaches_light(casters, ray.origin, ray.direction, open);
 #else
       const whole seen = (whole)0;
@@ -126,20 +128,20 @@ kernel void share_rays(const uint first_point, const uint point_count, const uin
       ray.density = (real)0.0f;
       ray.strips = (whole)0;
       ray.path = LANE_NUMBER + (uint)entry;
-      append_rays(&ray, open, 1, plane, wave);
+      give_rays(&ray, open, 1, &to);
 #endif
       int is_seen[VEC];
       STORE(seen, is_seen);
-      for (uint lane = 0; lane < VEC; ++lane) visible[entry + lane] = is_seen[lane] != 0 || k == j ? 1 : 0;
+      for (uint lane = 0; is_item && lane < VEC; ++lane) visible[entry + lane] = is_seen[lane] != 0 || k == j ? 1 : 0;
     }
   }
 }
 
-kernel void share_seen(const uint count, const uint plane, global const float *restrict wave,
-                       global uchar *restrict visible) {
-  const uint ray = (uint)get_global_id(0);
-  if (ray < count && ((global const uchar *)PLANE(wave, WAVE_LIT))[ray] != 0)
-    visible[as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray])] = 1;
+kernel void share_seen(const uint plane, global const float *restrict wave, global uchar *restrict visible) {
+  const uint count = shadow_rays_of(wave);
+  for (uint ray = (uint)get_global_id(0); ray < count; ray += (uint)get_global_size(0))
+    if (((global const uchar *)PLANE(wave, WAVE_LIT))[ray] != 0)
+      visible[as_uint(PLANE(wave, WAVE_SHADOW_PATH)[ray])] = 1;
 }
 
 /* A matte direction's point of the square: the inverse of bounce.cl's map. */

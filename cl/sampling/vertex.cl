@@ -10,6 +10,27 @@
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
 
+/* VEC rays of a wave. Lanes past the last ray may hold what an earlier, larger batch left. */
+Ray load_ray(global const float *restrict wave, const uint plane, const uint first, const whole here,
+             global const float *restrict lights) {
+  Ray ray;
+  ray.origin = load_planes(wave, WAVE_ORIGIN, plane, first);
+  ray.direction = load_planes(wave, WAVE_DIRECTION, plane, first);
+  ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
+  ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
+  ray.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
+#if HAS_ROWS
+  ray.strips = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), here);
+#else
+  ray.strips = all_strips(lights);
+#endif
+#if HAS_PANES
+  ray.behind = LOAD(PLANE(wave, WAVE_BEHIND) + first);
+  ray.passed = SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_PASSED) + first), here);
+#endif
+  return ray;
+}
+
 /* Throughput of one more bounce: f_r cos / density, zero below the surface. */
 triple bounce_throughput(const Scatterer *s, const triple geometric_normal, const triple towards,
                          const real density) {

@@ -7,6 +7,7 @@ import contextlib
 import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
+from typing import Any
 
 from ..host.files import write_whole
 from ..machines.processes import Processes
@@ -42,7 +43,7 @@ def add_reading(parser: argparse.ArgumentParser, is_seen: bool = True) -> None:
     add("--allow-outside", action="store_true", help="read files outside of the scene file's folder")
 
 
-def read_options(options: argparse.Namespace) -> dict[str, object]:
+def read_options(options: argparse.Namespace) -> dict[str, Any]:
     """Keywords of `load_scene`."""
     camera = getattr(options, "camera", None)
     return {"camera": camera, "allow_outside": options.allow_outside}
@@ -105,7 +106,7 @@ def _dask(address: str) -> Iterator[Executor]:
         yield client.get_executor()
 
 
-def write_json(path: str, stats: dict[str, object]) -> None:
+def write_json(path: str, stats: dict[str, Any]) -> None:
     """Write statistics, in which nothing is NaN or infinite."""
     text = json.dumps(stats, indent=1, allow_nan=False) + "\n"
     write_whole(path, lambda file: file.write(text.encode()))

@@ -15,14 +15,17 @@ from ..learning.density import Density, DensityNetwork, DensityTrainer, tabulate
 from ..learning.train import TrainingSamples
 from ..network.fold import FoldedNetwork
 from ..network.network import Network
-from ..opencl.device import Device
+from ..opencl.device import GROUP_SIZE, Device
 from ..opencl.memory import HostArray
+from ..opencl.program import build
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
 
 # Points whose neurons the statistics look at.
 POINTS_LOOKED_AT = 4096
+# Work-items that look at one neuron.
+IDLE_PARTS = GROUP_SIZE
 
 
 @dataclass(frozen=True)
@@ -159,25 +162,29 @@ def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
         ``dead_neurons``: share that is zero in the whole square; ``dead_in_image``: neurons that are
         so at every point looked at.
     """
-    chosen = np.linspace(0, points, min(points, POINTS_LOOKED_AT), endpoint=False).astype(int)
-    weights, biases = (_chosen_weights(folded, name, chosen) for name in ("W1", "B1"))
-    corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
-    values = np.einsum("pji,ki->pjk", weights, corners) + biases[..., None]
-    dead = np.all(values <= 0, axis=2)
+    chosen = np.linspace(0, points, min(points, POINTS_LOOKED_AT), endpoint=False)
+    device, defines = folded.device, folded.network.description.defines()
+    neurons = folded.network.description.hidden[0]
+    counts = HostArray(device, (neurons, 2), np.uint32)
+    counts.fill(0)
+    build(device, ("idle",), {**defines, "PARTS": f"{IDLE_PARTS}u"}).kernel("count_idle")(
+        (neurons, IDLE_PARTS),
+        chosen_count=len(chosen),
+        w1_stride=defines["STRIDE_W1"],
+        b1_stride=defines["STRIDE_B1"],
+        chosen=HostArray.of(device, chosen.astype(np.uint32)),
+        w1=folded.groups["W1"],
+        b1=folded.groups["B1"],
+        idle=counts,
+        group=(1, IDLE_PARTS),
+    )
+    dead, without_line = counts.read().T
+    total = max(1, neurons * len(chosen))
     return {
-        "lines": float(np.mean(dead | np.all(values >= 0, axis=2))),
-        "dead_neurons": float(np.mean(dead)),
-        "dead_in_image": int(np.count_nonzero(dead.all(axis=0))),
+        "lines": float(without_line.sum() / total),
+        "dead_neurons": float(dead.sum() / total),
+        "dead_in_image": int(np.count_nonzero(dead == len(chosen))),
     }
-
-
-def _chosen_weights(folded: FoldedNetwork, name: str, chosen: np.ndarray) -> np.ndarray:
-    """One group's weights at some points, (points, ...)."""
-    group = folded.groups[name]
-    with group.mapped() as view:
-        if name in folded.network.description.modulated:
-            return view[chosen]
-        return np.broadcast_to(view, (len(chosen), *view.shape)).copy()
 
 
 def integrals_of(device: Device, folded: FoldedNetwork, points: int) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from ..settings.settings import Settings
 from . import tuning
 from .allocate import Allocation
 from .image_estimate import ImageEstimate, error_of
+from .passes import Edges
 
 
 def direct_samples(samples: int) -> int:
@@ -28,7 +28,7 @@ def direct_samples(samples: int) -> int:
     return 1 << max(1, round(math.log2(tuning.DIRECT_SAMPLES * math.sqrt(samples))))
 
 
-def direct_edges(first: int, samples: int, done: Sequence[int] | None = None) -> list[int]:
+def direct_edges(first: int, samples: int, done: Edges | None = None) -> list[int]:
     """Where passes of direct light begin and end, in samples a point; each doubles what there is.
 
     Parameters
@@ -64,8 +64,10 @@ class DirectEstimate:
         Its own, between passes.
     """
 
-    def __init__(self, problem: Problem, settings: Settings, run: Run, edges: Sequence[int]) -> None:
+    def __init__(self, problem: Problem, settings: Settings, run: Run, edges: Edges) -> None:
         apart = problem.apart
+        if apart is None:
+            raise ValueError("the problem has no direct light apart")
         self._lit = np.zeros(problem.points.active, bool)
         self._lit[apart.lit] = True
         self._settings = settings

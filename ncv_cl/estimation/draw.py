@@ -59,9 +59,9 @@ def allocation_of(
     direct : DirectEstimate, optional
         Of light that f leaves out.
     """
-    by_residual = variate is not None and variate.density is not None
-    if by_residual and settings.allocation in BY_RESIDUAL:
-        magnitude = variate.density.magnitude
+    density = None if variate is None else variate.density
+    if variate is not None and density is not None and settings.allocation in BY_RESIDUAL:
+        magnitude = density.magnitude
         if settings.allocation == "relative":
             magnitude = magnitude / scales(expected(problem, settings, variate, before, direct))
         return Allocation.of_counts(allocate(magnitude, settings.spp))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from ..settings.filters import error_factor
 from ..settings.settings import Settings
 from .allocate import Allocation
 from .calibrate import calibrate, halves, local_mean, points_done_twice, steadied
-from .passes import Passes, Target
+from .passes import Edges, Passes, Target
 
 # Streams of f and of f - g, each with that of a second estimate.
 PLAIN = (Stream.PLAIN, Stream.PLAIN_AGAIN)
@@ -60,7 +59,7 @@ class ImageEstimate:
         problem: Problem,
         settings: Settings,
         allocation: Allocation,
-        edges: Sequence[int],
+        edges: Edges,
         folded: FoldedNetwork | None,
         density: Density | None,
         watch: Stopwatch,
@@ -137,7 +136,7 @@ class ImageEstimate:
         if parts:
             part = parts[-1][quantity]
             if is_last:
-                self._first = self._second = None
+                del self._first, self._second
                 self.parts = parts = []
             expected = halves(first.mean, part, *self._grid)
             repeated = expected[:, self.twice]
@@ -188,14 +187,17 @@ class ImageEstimate:
             self.parts = [*self.parts, *(before.copy() for _ in wanted)][-2:]
         return wanted
 
-    def keep_tile(self, points: range, states: list[tuple], means: list[np.ndarray]) -> None:
+    def keep_tile(
+        self, points: range, states: list[tuple[np.ndarray, np.ndarray]], means: list[np.ndarray]
+    ) -> None:
         """Take what has come of some points: what `Accumulator.take` takes, and the means wanted."""
         own = slice(points.start, points.stop)
         for accumulator, state in zip(self.accumulators, states, strict=True):
             accumulator.take(points, *state)
         for part, mean in zip(self.parts[len(self.parts) - len(means) :], means, strict=True):
             part[..., own] = mean
-        self.ahead[own] = True
+        if self.ahead is not None:
+            self.ahead[own] = True
 
     def end_step(self) -> None:
         """All points have come."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -20,6 +20,8 @@ from .allocate import Allocation
 
 # Samples in all of a short pass: it takes a small part of a second, and still keeps a device busy.
 SHORT_PASS, SHORT_NESTED_PASS = 1 << 17, 1 << 15
+# Where passes begin and end, in samples a point on average.
+Edges: TypeAlias = Sequence[int] | np.ndarray
 
 
 class Target(NamedTuple):
@@ -65,7 +67,7 @@ def short_pass_edges(samples: int, samples_a_pass: int, shortest: int) -> np.nda
     return np.concatenate([head, regular, end]).astype(np.int64)
 
 
-def edges_of(settings: Settings, points: int, done: Sequence[int] | None = None) -> Sequence[int]:
+def edges_of(settings: Settings, points: int, done: Edges | None = None) -> Edges:
     """Where the passes of a render of `points` points begin and end.
 
     Parameters
@@ -74,12 +76,12 @@ def edges_of(settings: Settings, points: int, done: Sequence[int] | None = None)
         The edges of the passes that a checkpoint holds.
     """
     if settings.stopping.time_limit is None:
-        edges: Sequence[int] = pass_edges(settings.spp, SAMPLES_A_PASS)
+        edges: Edges = pass_edges(settings.spp, SAMPLES_A_PASS)
     else:
         edges = short_pass_edges(settings.spp, SAMPLES_A_PASS, shortest_pass(settings, points))
     if done is None:
         return edges
-    return [*done, *edges[np.searchsorted(edges, done[-1], side="right") :]]
+    return [*done, *edges[int(np.searchsorted(edges, done[-1], side="right")) :]]
 
 
 class Passes:
@@ -106,7 +108,7 @@ class Passes:
         self,
         problem: Problem,
         targets: list[Target],
-        edges: Sequence[int],
+        edges: Edges,
         density: Warp | None,
         watch: Stopwatch,
         after_pass: Callable[[int], None] = lambda done: None,
@@ -163,14 +165,15 @@ class Passes:
         drawn = np.zeros(len(allocation.counts))
         source = self._problem.source
         most_points = self._density.most_points if self._density is not None else None
+        parts = []
         for run in allocation.part(*(int(self.edges[k]) for k in (number, number + 1, -1))):
             drawn[run.points.start : run.points.stop] = len(run.samples)
-            for points, samples in source.parts(*run, most_points, allocation.grouped):
-                shared = {"grouped": True} if points.start < allocation.grouped else {}
-                batch = source.draw(points, samples, stream, order, self._density, **shared)
-                with self._watch("estimate"):
-                    accumulator.add(batch, samples.start)
-                    if not source.runs_ahead:
-                        self._problem.device.queue.finish()
-            bar.update(len(run.points) * len(run.samples))
+            parts += source.parts(*run, most_points, allocation.grouped)
+        batches = source.drawn(parts, stream, order, self._density, allocation.grouped)
+        for (points, samples), batch in zip(parts, batches, strict=True):
+            with self._watch("estimate"):
+                accumulator.add(batch, samples.start)
+                if not source.runs_ahead:
+                    self._problem.device.queue.finish()
+            bar.update(len(points) * len(samples))
         accumulator.finish_pass(drawn, allocation.chosen)

@@ -14,7 +14,7 @@ from .allocate import Allocation, allocate
 from .calibrate import local_mean
 from .control_variate import ControlVariate
 from .direct import DirectEstimate
-from .passes import Passes, Target, short_pass_edges, shortest_pass
+from .passes import Edges, Passes, Target, short_pass_edges, shortest_pass
 
 # Errors of pixels are relative to their values plus this part of the image's mean, a convention that
 # bench/bench_gi_equal.py measures by as well: without it those of black pixels would be all that counts.
@@ -32,7 +32,7 @@ def draw_pilot(problem: Problem, settings: Settings, run: Run) -> Estimate:
     accumulator = Accumulator(problem.device, points, problem.source.channels)
     everything = Allocation.uniform(np.arange(points.active, dtype=np.uint32), samples)
     targets = [Target(accumulator, everything, Stream.PILOT)]
-    edges = [0, samples]
+    edges: Edges = [0, samples]
     if run.clock.limit is not None:
         edges = short_pass_edges(samples, samples, shortest_pass(settings, points.active))
     passes = Passes(problem, targets, edges, None, run.watch)

@@ -52,7 +52,7 @@ def _prepare_pocls() -> None:
     """PoCL offers no device where it cannot write: give it a folder until the process ends."""
     named = os.environ.get(_POCLS_VARIABLE)
     folder = Path(named) if named else cache_folder("pocl")
-    if _writable(folder):
+    if folder is not None and _writable(folder):
         if not any(os.environ.get(name) for name in (_POCLS_VARIABLE, "XDG_CACHE_HOME", "HOME")):
             # PoCL knows homes by these variables only, and would share a folder with all users.
             os.environ[_POCLS_VARIABLE] = str(folder / "kcache")

@@ -7,6 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
+from typing import Any, TextIO
 
 import pyopencl as cl
 
@@ -78,14 +79,22 @@ def one_line(error: BaseException) -> str:
     return text if len(text) <= LONGEST else text[:LONGEST] + " ..."
 
 
-def _show_warning(message: Warning | str, *about: object) -> None:
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """`warnings.showwarning` in one line, without what is about the program."""
     try:
         print(f"ncv-cl: warning: {message}", file=sys.stderr, flush=True)
     except OSError:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
-def summary(stats: dict) -> str:
+def summary(stats: dict[str, Any]) -> str:
     """A render's statistics as a short table."""
     lines = [f"device   {stats['device']}"]
     lines += [f"{stage:<10}{seconds:>9.3f} s" for stage, seconds in stats["seconds"].items()]
@@ -122,7 +131,7 @@ def summary(stats: dict) -> str:
     return "\n".join(lines)
 
 
-def point_summary(stats: dict) -> str:
+def point_summary(stats: dict[str, Any]) -> str:
     """Statistics of values at points, in a few lines."""
     if not stats["points"]:
         return "no points"

@@ -112,6 +112,13 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
         raise OSError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def save_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write an ``.npz``, which `read_arrays` reads."""
+    # To numpy's hints an array of any name could be savez's own option.
+    named: dict[str, Any] = dict(arrays)
+    np.savez(file, **named)
+
+
 def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """All arrays of an ``.npz``; none of them holds Python objects.
 
@@ -138,16 +145,18 @@ def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
 
 def whole_number(name: str, value: object, low: int, high: int) -> int:
     """`value`, if it is a whole number from `low` to `high`; else ValueError."""
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not is_whole or not low <= value <= high:
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number from {low} to {high}, is {value!r}")
     return int(value)
 
 
 def real_number(name: str, value: object, low: float, high: float) -> float:
     """`value`, if it is a number from `low` to `high` and not NaN; else ValueError."""
-    is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:
+    if (
+        not isinstance(value, (int, float, np.integer, np.floating))
+        or isinstance(value, bool)
+        or not low <= value <= high
+    ):
         raise ValueError(f"{name} must be a number from {low:g} to {high:g}, is {value!r}")
     return float(value)
 
@@ -155,8 +164,11 @@ def real_number(name: str, value: object, low: float, high: float) -> float:
 def some_of(name: str, value: object, known: Iterable[str]) -> tuple[str, ...]:
     """`value` as a tuple, if it is a list of `known` names, each once and in their order."""
     known = tuple(known)
-    is_list = isinstance(value, (list, tuple)) and all(isinstance(one, str) for one in value)
-    if not is_list or [one for one in known if one in value] != list(value):
+    if (
+        not isinstance(value, (list, tuple))
+        or not all(isinstance(one, str) for one in value)
+        or [one for one in known if one in value] != list(value)
+    ):
         raise ValueError(f"{name} must be some of {', '.join(known)}, in this order, is {value!r}")
     return tuple(value)
 
@@ -187,7 +199,7 @@ def array_of(
     return array
 
 
-def json_of(arrays: Mapping[str, np.ndarray], name: str) -> object:
+def json_of(arrays: Mapping[str, np.ndarray], name: str) -> Any:
     """What the text of that name says, as JSON; else ValueError."""
     if name not in arrays:
         raise ValueError(f"there is no array {name!r}")

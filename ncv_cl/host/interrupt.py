@@ -5,12 +5,16 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType
+from typing import Any, TypeAlias
 
 # Ctrl-C; what service and batch managers send before they kill; a terminal that is closed. Windows has
 # no SIGHUP, and Ctrl-Break instead.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+# What `signal.getsignal` returns, and `signal.signal` takes.
+_Handler: TypeAlias = Callable[[int, FrameType | None], Any] | int | signal.Handlers
 
 
 class StopOnSignal:
@@ -27,7 +31,7 @@ class StopOnSignal:
 
     def __init__(self) -> None:
         self.asked = False
-        self._before: dict[int, object] = {}
+        self._before: dict[int, _Handler] = {}
 
     def __enter__(self) -> StopOnSignal:
         if threading.current_thread() is not threading.main_thread():
@@ -35,7 +39,7 @@ class StopOnSignal:
         for number in (getattr(signal, name) for name in _NAMES if hasattr(signal, name)):
             before = signal.getsignal(number)
             # None: the handler was not installed by Python, so it is left in place.
-            if before not in (signal.SIG_IGN, None):
+            if before is not None and before != signal.SIG_IGN:
                 self._before[number] = before
                 signal.signal(number, self._handle)
         return self
@@ -54,7 +58,8 @@ class StopOnSignal:
 
     def _restore(self) -> None:
         while self._before:
-            signal.signal(*self._before.popitem())
+            number, before = self._before.popitem()
+            signal.signal(number, before)
 
     def __call__(self) -> bool:
         return self.asked

@@ -54,6 +54,6 @@ class AmbientOcclusion(Integrand):
             "AmbientOcclusion(radius=...): a few tenths of the room's size"
         )
 
-    def defines(self, scene: Scene) -> dict[str, int]:
+    def defines(self, scene: Scene) -> dict[str, int | str]:
         numbers = {f"HEMISPHERE_{name.upper()}": number for number, name in enumerate(MAPPINGS)}
         return {**numbers, "HEMISPHERE": MAPPINGS.index(self.mapping), "CHANNELS": self.channels}

@@ -42,7 +42,7 @@ class Integrand:
     files: ClassVar[tuple[str | Path | KernelText, ...]]
     """Kernel files, in joining order, that define ``evaluate_integrand``. The package's own are named
     without suffix; other names end in ``.cl`` and are relative to the class's Python file."""
-    channels: ClassVar[int]
+    channels: int
     """1, which makes a grey picture, or 3."""
     inputs: ClassVar[tuple[str, ...]]
     """Network inputs f depends on, some of `points.INPUTS` in their order, position among them."""
@@ -61,6 +61,8 @@ class Integrand:
     """Whether there are scenes in which `apart` gives two parts."""
     nested: ClassVar[bool] = False
     """Whether f is itself estimated, by paths (`paths.PathSource`)."""
+    guided: bool = False
+    """Whether training learns densities that guide those paths."""
 
     def apart(self, scene: Scene) -> tuple[Integrand, Integrand] | None:
         """Direct light and the rest as integrands whose sum this one is; None: it has no parts."""

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..points.points import ShadingPoints
+from ..opencl.device import Device
+from ..opencl.layout import Record
+from ..opencl.memory import HostArray
+from ..opencl.program import build
+from ..points.points import ShadingPoints, surface_defines
 from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
-from .environment import environment_dark, environment_seen, has_environment
+from .environment import environment_seen, has_environment, has_image, surroundings
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
@@ -17,6 +21,13 @@ from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 # lobe is held against every light. With 320 that pays, with 1280 no more:
 # python bench/bench_mesh_lights.py lobes.
 MOST_MET = 512
+# What tells whether a light reaches a point: its corners, the radius of what stands for a ball, and the
+# plane beyond which it shines (of one that shines on both sides one that every point is beyond).
+DARK_LIGHT = Record("DARK_LIGHT", {"corners": 12, "reach": 1, "side": 3, "level": 1}, np.float64)
+# A sun is seen where the cosine about it is above `least`.
+DARK_SUN = Record("DARK_SUN", {"towards": 3, "least": 1}, np.float64)
+# What rounding may make of a product in float32, as a part of the sum of its terms: 16 errors.
+DARK_MARGIN = 16 * 2.0**-24
 
 
 class DirectLight(Integrand):
@@ -58,30 +69,24 @@ class DirectLight(Integrand):
         return "find_lobe_shares" if few and scattering_defines(scene)["HAS_SPECULAR"] else None
 
     def dark(self, scene: Scene, points: ShadingPoints) -> np.ndarray:
-        # Cosines times distances are affine on a light, so their signs at its corners decide. They are
-        # taken as n.y - n.x: four numbers a light instead of four vectors a point.
-        position, *normals = (
-            points.rows(name)[:, : points.active].astype(np.float64)
-            for name in ("position", "normal", "geometric_normal")
+        if has_image(scene):
+            return np.zeros(points.active, bool)
+        device = points.surface.device
+        wide = np.float64 if device.has_float64 else np.float32
+        lights, suns = (one.astype(wide) for one in dark_records(scene))
+        dark = HostArray(device, points.active, np.uint8)
+        build(device, ("common", "surface", "dark"), dark_defines(device)).kernel("find_dark")(
+            points.active,
+            point_count=points.active,
+            total_points=points.total,
+            light_count=len(lights),
+            sun_count=len(suns),
+            surface=points.surface,
+            lights=HostArray.of(device, lights),
+            suns=HostArray.of(device, suns),
+            dark=dark,
         )
-        heights = [(normal * position).sum(axis=0) for normal in normals]
-        # Most points are lit by the first lights, and need not be asked about the others.
-        dark = np.arange(position.shape[1])
-        lights = light_sources(scene).lights.bounds()
-        corners = lights.corners
-        for light in range(lights.strips):
-            below = np.zeros(len(dark), bool)
-            for normal, height in zip(normals, heights, strict=True):
-                highest = (corners[:, light] @ normal[:, dark]).max(axis=0) + lights.reach[light]
-                below |= highest <= height[dark]
-            if not lights.two_sided[light]:
-                side = lights.normal[light]
-                below |= side @ position[:, dark] <= side @ lights.corner[light]
-            dark = dark[below]
-        if has_environment(scene):
-            below = [environment_dark(scene, normal[:, dark]) for normal in normals]
-            dark = dark[below[0] | below[1]]
-        return np.isin(np.arange(position.shape[1]), dark)
+        return dark.read().astype(bool)
 
     def background(self, scene: Scene, directions: np.ndarray) -> np.ndarray | None:
         return environment_seen(scene, directions)
@@ -124,7 +129,38 @@ class DirectPart(DirectLight):
     _part = True
 
 
-def scattering_defines(scene: Scene) -> dict[str, int]:
+def dark_defines(device: Device) -> dict[str, int | str]:
+    """The `-D` constants of dark.cl."""
+    return {
+        **surface_defines(),
+        **DARK_LIGHT.defines(),
+        **DARK_SUN.defines(),
+        "WIDE_DOUBLE": int(device.has_float64),
+        "MARGIN": f"{0.0 if device.has_float64 else DARK_MARGIN!r}f",
+    }
+
+
+def dark_records(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """What dark.cl reads of a scene whose environment is suns at most, float64.
+
+    Returns
+    -------
+    lights : (strips, DARK_LIGHT.size)
+        One light a strip, which lights whatever the strip's may.
+    suns : (suns, DARK_SUN.size)
+    """
+    bounds = light_sources(scene).lights.bounds()
+    one_sided = ~bounds.two_sided
+    side = bounds.normal * one_sided[:, None]
+    level = np.where(one_sided, np.sum(side * bounds.corner, axis=1), -1.0)
+    corners = bounds.corners.transpose(1, 0, 2).reshape(-1, 12)
+    lights = DARK_LIGHT.pack(corners=corners, reach=bounds.reach, side=side, level=level)
+    suns = surroundings(scene).suns if has_environment(scene) else ()
+    records = [DARK_SUN.pack(towards=sun.towards, least=-np.sin(sun.half_angle) - 1e-6) for sun in suns]
+    return lights, np.array(records).reshape(-1, DARK_SUN.size)
+
+
+def scattering_defines(scene: Scene) -> dict[str, int | str]:
     """The `-D` constants of bsdf.cl and bounce.cl."""
     return {
         "HAS_SPECULAR": int(any(material.has_lobe for material in scene.materials)),

@@ -19,7 +19,9 @@ def emitted_light(scene: Scene, integrand: Integrand, points: ShadingPoints) -> 
         return found
     lit = np.flatnonzero(points.light >= 0)
     if lit.size:
-        found[lit] = integrand.emitted(scene, points.light[lit], points.rows("outgoing")[:, lit])
+        # Most integrands have them last.
+        outgoing = points.rows("outgoing", range(lit[0], points.total))[:, lit - lit[0]]
+        found[lit] = integrand.emitted(scene, points.light[lit], outgoing)
     glow = integrand.glow(scene, points.material)
     if not glow.any():
         return found

@@ -44,6 +44,13 @@ def has_environment(scene: Scene) -> bool:
     return scene.environment is not None and not scene.environment.is_black
 
 
+def surroundings(scene: Scene) -> Environment:
+    """The environment of a scene that has one."""
+    if scene.environment is None:
+        raise ValueError(f"{scene.name} has no environment")
+    return scene.environment
+
+
 def has_image(scene: Scene) -> bool:
     """Whether more arrives than from suns."""
     return scene.environment is not None and bool(np.any(scene.environment.radiance))
@@ -51,7 +58,7 @@ def has_image(scene: Scene) -> bool:
 
 def row_numbers(scene: Scene) -> int:
     """What a row of strips has of the environment."""
-    return SKY_ROW.size + len(scene.environment.suns) if has_environment(scene) else 0
+    return SKY_ROW.size + len(surroundings(scene).suns) if has_environment(scene) else 0
 
 
 def environment_defines(scene: Scene, maps: np.ndarray) -> dict[str, int]:
@@ -60,7 +67,7 @@ def environment_defines(scene: Scene, maps: np.ndarray) -> dict[str, int]:
     return {
         "HAS_ENVIRONMENT": int(has_environment(scene)),
         "HAS_SKY_IMAGE": int(has_image(scene)),
-        "SUN_COUNT": len(scene.environment.suns) if has_environment(scene) else 0,
+        "SUN_COUNT": len(surroundings(scene).suns) if has_environment(scene) else 0,
         "SKY_NUMBERS": row_numbers(scene),
         "SKY_ROWS": rows,
         "SKY_COLUMNS": 2 * rows,
@@ -108,7 +115,7 @@ class SkyRows:
     @property
     def lit(self) -> np.ndarray:
         """Which cells may see something of it, bool (cells,)."""
-        return (self.brings[1:] > 0).any(axis=1)
+        return np.any(self.brings[1:] > 0, axis=1)
 
     def columns(self, parts: np.ndarray, from_lights: np.ndarray) -> np.ndarray:
         """Rows of `SKY_ROW`, float64 (cells + 1, floats), maps by their numbers.
@@ -130,7 +137,7 @@ class SkyRows:
 
 def sky_rows(scene: Scene, cells: Cells) -> SkyRows:
     """What a scene's environment brings to its cells."""
-    environment, count = scene.environment, len(cells.number)
+    environment, count = surroundings(scene), len(cells.number)
     brings = np.zeros((count + 1, 1 + len(environment.suns)))
     number, maps = np.zeros(count + 1, np.int64), np.zeros((0, 0), np.float32)
     if has_image(scene):
@@ -144,7 +151,7 @@ def sky_rows(scene: Scene, cells: Cells) -> SkyRows:
 
 def sky_block(scene: Scene, maps: np.ndarray) -> np.ndarray:
     """What environment.cl reads at FRAME_SKY, float32 (floats,); the maps come right after the suns."""
-    environment = scene.environment
+    environment = surroundings(scene)
     suns = [
         SUN.pack(
             direction=sun.towards,
@@ -168,26 +175,12 @@ def sky_block(scene: Scene, maps: np.ndarray) -> np.ndarray:
 
 def maps_begin(scene: Scene) -> int:
     """Where the first map is in `sky_block`."""
-    return SKY.size + len(scene.environment.suns) * SUN.size
+    return SKY.size + len(surroundings(scene).suns) * SUN.size
 
 
 def environment_seen(scene: Scene, directions: np.ndarray) -> np.ndarray | None:
     """As `Integrand.background`: what is seen of the environment."""
-    return scene.environment.radiance_of(directions) if has_environment(scene) else None
-
-
-def environment_dark(scene: Scene, normal: np.ndarray) -> np.ndarray:
-    """Where surfaces get nothing of the environment, whatever is in the way: bool (points,).
-
-    Parameters
-    ----------
-    normal : ndarray
-        float64 (3, points).
-    """
-    if has_image(scene):
-        return np.zeros(normal.shape[1], bool)
-    suns = scene.environment.suns
-    return np.all([sun.towards @ normal <= -np.sin(sun.half_angle) - 1e-6 for sun in suns], axis=0)
+    return surroundings(scene).radiance_of(directions) if has_environment(scene) else None
 
 
 def _sun_cosines(towards: np.ndarray, half_angle: float, cells: Cells) -> np.ndarray:

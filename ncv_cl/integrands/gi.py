@@ -58,8 +58,9 @@ class GlobalIllumination(Integrand):
         self.clamp = None if clamp is None else float(clamp)
         self.guided = bool(guided)
 
+    # Of other integrands the class decides these two.
     @property
-    def splits(self) -> bool:
+    def splits(self) -> bool:  # type: ignore[override]
         """Whether direct light may be estimated apart from the rest."""
         return self.direct
 
@@ -72,7 +73,7 @@ class GlobalIllumination(Integrand):
         return DirectPart(), rest
 
     @property
-    def to_lights(self) -> bool:
+    def to_lights(self) -> bool:  # type: ignore[override]
         """Whether there are rays of the first bounce's light sampling; paths trace theirs elsewhere."""
         return self.direct
 
@@ -84,7 +85,7 @@ class GlobalIllumination(Integrand):
             )
         return light_records(scene)
 
-    def defines(self, scene: Scene) -> dict[str, int]:
+    def defines(self, scene: Scene) -> dict[str, int | str]:
         return {
             "CHANNELS": self.channels,
             "DIRECT": int(self.direct),

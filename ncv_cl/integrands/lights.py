@@ -159,7 +159,7 @@ def _light_rows(scene: Scene) -> LightRows:
     )
     may, found, by_power = _of_lights(lights, stand_ins, cells)
     sky = sky_rows(scene, cells) if has_environment(scene) else None
-    lit = may.any(axis=1) | (False if sky is None else sky.lit)
+    lit = np.any(may, axis=1) | (False if sky is None else sky.lit)
     may, brings = may[lit], found[lit]
     # Those that may light a cell but bring nothing to its places have their equal part.
     most = brings.max(axis=1, keepdims=True, where=may, initial=0.0)
@@ -189,7 +189,7 @@ def _of_lights(
         return np.zeros(shape, bool), np.zeros(shape), np.zeros((1, 0))
     power = lights.per_strip(lights.power)
     may = may_light(cells, lights.bounds()) & (power > 0)
-    lit = may.any(axis=1)
+    lit = np.any(may, axis=1)
     found = np.zeros(shape)
     found[lit] = stand_ins.per_strip(mean_irradiance(cells.only(lit), stand_ins))
     return may, np.where(may, found, 0.0), strip_widths(power)[None]
@@ -215,7 +215,9 @@ def _light_records(scene: Scene) -> np.ndarray:
     rows, count = light_rows(scene), lights.strips
     steps, outside = int(_steps(count)), has_environment(scene)
     # Which strip each step of the square belongs to.
-    owner = np.tile(np.arange(count), len(rows.widths)).repeat((steps * rows.widths).ravel().astype(int))
+    owner: np.ndarray = np.tile(np.arange(count), len(rows.widths)).repeat(
+        (steps * rows.widths).ravel().astype(int)
+    )
     owner = owner.reshape(-1, steps) if count else np.zeros((len(rows.widths), steps))
     strips = rows.strips.reshape(len(rows.widths), -1)
     table = _row_floats(scene) * len(rows.widths)

@@ -61,6 +61,8 @@ def module_of(path: Path) -> ModuleType:
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     name = f"{FILE_MODULE}{digest[:16]}"
     spec = importlib.util.spec_from_file_location(name, path.resolve())
+    if spec is None or spec.loader is None:
+        raise IntegrandError(f"{path} cannot be loaded as Python")
     module = importlib.util.module_from_spec(spec)
     # Classes find their folder, and dataclasses their names, by way of this.
     sys.modules[name] = module

@@ -10,7 +10,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-PRECISIONS = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}
+PRECISIONS: dict[str, np.dtype[np.floating]] = {
+    "float32": np.dtype(np.float32),
+    "float64": np.dtype(np.float64),
+}
 
 # |sum of absolute areas - 1| beyond which a point is done again.
 AREA_TOLERANCE = {"float32": 1e-5, "float64": 1e-12}

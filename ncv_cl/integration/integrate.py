@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def integrate(
     return_stats: bool = False,
     return_moments: bool = False,
     return_bound: bool = False,
-) -> np.ndarray | tuple[np.ndarray | Statistics, ...]:
+) -> np.ndarray | tuple[Any, ...]:
     """Integrate ReLU networks g(u, v) over the unit square, exactly up to rounding.
 
     Parameters
@@ -135,10 +136,13 @@ def integrate(
     values = out.read()
     if statistics.uncertified:
         raise _not_finite(statistics.uncertified, values, precision)
-    results = [values, *(array.read() for array in (moments, bounds) if array is not None)]
+    results: list[np.ndarray | Statistics] = [
+        values,
+        *(array.read() for array in (moments, bounds) if array is not None),
+    ]
     if return_stats:
         results.append(statistics)
-    return results[0] if len(results) == 1 else tuple(results)
+    return values if len(results) == 1 else tuple(results)
 
 
 def activation_slope(activation: str, negative_slope: float) -> float:

@@ -234,6 +234,7 @@ class Integrator:
             points=end - begin,
             faces=counted["faces"],
             scratch_bytes=self.scratch_bytes,
+            uncertified=(),
             **{reason: counted[reason] for reason in REASONS},
         )
         count = counted["retry"]
@@ -316,6 +317,7 @@ class Integrator:
                 f"got {len(weights)} and {len(biases)}"
             )
         points = out.shape[0]
+        expected: list[tuple[str, HostArray, tuple[int, ...]]]
         expected = [("out", out, (points, self.widths[-1]))]
         for k in range(self.layers):
             matrix = (self.widths[k + 1], self.widths[k])

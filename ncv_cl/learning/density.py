@@ -16,6 +16,7 @@ from ..network.encode import Encoder
 from ..network.fold import POINTS_PER_FOLD, FoldedNetwork
 from ..network.network import Network, NetworkDescription, NetworkError
 from ..opencl.device import GPU_LOCAL_BYTES, GROUP_SIZE, Device
+from ..opencl.kernel import Arguments
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
@@ -160,7 +161,8 @@ class DensityNetwork:
         size = settings.parameters(features).size
         parameters = array_of(arrays, "density_parameters", np.float32, (size,))
         scales = array_of(arrays, "density_features", np.float32, (2, features))
-        return cls(parameters, *scales, unit, settings)
+        shift, factor = scales
+        return cls(parameters, shift, factor, unit, settings)
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,7 @@ def tabulate(
     table = HostArray(device, (points.active, DENSITY_WORDS), np.uint32)
     magnitude = HostArray(device, points.active, np.float32)
     entries = HostArray.of(device, network.table)
-    inputs = {
+    inputs: Arguments = {
         name: HostArray.of(device, getattr(density, name))
         for name in ("feature_mean", "feature_scale", "parameters")
     }
@@ -276,7 +278,7 @@ class DensityTrainer:
             self._mean_square = float(squared[:, : samples.count].mean(dtype=np.float64)) or 1.0
         start = self._start(len(features))
         self._parameters = HostArray.of(device, start)
-        self._moments = {
+        self._moments: Arguments = {
             name: HostArray.of(device, np.zeros_like(start)) for name in ("moment1", "moment2")
         }
         rows = GPU_GROUPS if self._by_samples else GRADIENT_GROUPS

@@ -9,10 +9,11 @@ import numpy as np
 from ..network.fold import FoldedNetwork
 from ..network.network import Network
 from ..opencl.device import Device
-from ..opencl.memory import HostArray
-from ..points.points import SURFACE, ShadingPoints
+from ..opencl.memory import HostArray, Window
+from ..points.points import ShadingPoints
 from ..sampling.accumulate import Accumulator
-from ..sampling.samples import NO_RAY, SEEN, Batch
+from ..sampling.samples import NO_RAY, SEEN
+from ..visibility.room import Batch
 
 
 class HeldOut:
@@ -49,12 +50,11 @@ class HeldOut:
     def store(self, batch: Batch, first_sample: int) -> None:
         """Keep a copy of a batch: samples number `first_sample` and on of the held-out points."""
         device, size = self.device, len(batch.points) * batch.stride
-        slot, visible = batch.slot.read(size), batch.visible.read()
+        slot, visible = batch.slot.read(size), batch.visible.read(min(size, *batch.visible.shape))
         answer = visible[np.minimum(slot, len(visible) - 1)] != 0
         seen = (slot == SEEN) | ((slot != NO_RAY) & answer)
-        with batch.value.mapped() as view:
-            # A plane of exactly these samples a channel, whatever the batch has room for.
-            value = view.reshape(-1)[: self.channels * size].copy()
+        # A plane of exactly these samples a channel, whatever the batch has room for.
+        value = batch.value.read(window=Window(0, size, range(self.channels), range(size))).ravel()
         slots = np.where(seen, np.uint32(SEEN), np.uint32(NO_RAY))
         kept = replace(
             batch,
@@ -79,8 +79,5 @@ class HeldOut:
 
 def _only(points: ShadingPoints, chosen: np.ndarray) -> ShadingPoints:
     """Points of which there are only the `chosen` ones, all active."""
-    surface = HostArray(points.surface.device, (SURFACE.size, len(chosen)), np.float32)
-    with points.surface.mapped() as old, surface.mapped(write=True) as new:
-        np.take(old, chosen, axis=1, out=new)
     cell, light = points.cell[chosen], points.light[chosen]
-    return ShadingPoints(surface, cell, light, len(chosen), 0, origin=points.origin)
+    return ShadingPoints(points.taken(chosen), cell, light, len(chosen), 0, origin=points.origin)

@@ -17,10 +17,10 @@ from ..points.sampler import Stream
 from ..sampling.accumulate import Accumulator, Estimate
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
-from ..sampling.samples import Batch
 from ..settings.presets import Preset
 from ..settings.schedule import Schedule
 from ..settings.settings import Settings
+from ..visibility.room import Batch
 from . import tuning
 from .budget import TRAINING_PASS, Budget, Round, pays, plan
 from .growth import batch_growth, grown
@@ -64,12 +64,12 @@ def learn(problem: Problem, settings: Settings, run: Run) -> Learned:
     With a time limit training ends after `TRAINING_SHARE` of it, with the rounds done until then.
     """
     if settings.guides:
-        problem.source.record_guide()
+        problem.paths.record_guide()
     learned = _fitted(problem, settings, run)
     if not settings.guides:
         return learned
     with run.watch("guide"):
-        return replace(learned, guide=problem.source.learn_guide())
+        return replace(learned, guide=problem.paths.learn_guide())
 
 
 def _fitted(problem: Problem, settings: Settings, run: Run) -> Learned:
@@ -141,9 +141,11 @@ class _Learning:
             "rounds": done.number,
             "held_out": [left / plain if plain else 0.0 for _, left, plain in done.found],
         }
-        failed = done.network is None or _diverged(done.network, done.losses)
-        network = None if failed else done.network
-        samples = None if network is None else done.trainer.samples_of(network)
+        network, samples = done.network, None
+        if network is not None and _diverged(network, done.losses):
+            network = None
+        if network is not None and done.trainer is not None:
+            samples = done.trainer.samples_of(network)
         return Learned(accumulator.result(), network, samples, about)
 
     def _rounds(self, budget: Budget, slower: float, accumulator: Accumulator, done: _Rounds) -> None:
@@ -170,7 +172,8 @@ class _Learning:
                 return
             following = budget.rounds[number]
             seconds = (time.perf_counter() - began) * following.count / current.count
-            traced = (source.rays.traced - rays) / (done.used + budget.held_out.count)
+            besides = 0 if budget.held_out is None else budget.held_out.count
+            traced = (source.rays.traced - rays) / (done.used + besides)
             in_time = seconds < self.run.clock.left(TRAINING_SHARE)
             if not (in_time and self._pays(done.found, slower, following, traced)):
                 return

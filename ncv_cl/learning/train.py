@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..host.clock import CHECKED_STEPS
-from ..network.encode import Encoder, GridIndex, TouchedTable
+from ..network.encode import Encoder, TouchedTable
+from ..network.grid_index import GridIndex
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
 from ..opencl.device import Device
@@ -19,8 +20,9 @@ from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
 from ..points.sampler import HostStream, host_generator
-from ..sampling.samples import Batch, ray_defines
+from ..sampling.samples import ray_defines
 from ..settings.schedule import Schedule
+from ..visibility.room import Batch
 from . import tuning
 from .step_shape import PARTIAL_SUMS, StepShape
 
@@ -114,8 +116,9 @@ class Trainer:
         self.samples = samples
         self._start = network
         # Adam's steps so far, and those before this trainer's schedule.
-        self._steps = self._begun = previous._steps if previous else 0
-        self._scale = previous._scale if previous else 1.0
+        self._steps: int = previous._steps if previous else 0
+        self._begun = self._steps
+        self._scale: float = previous._scale if previous else 1.0
         description = network.description
         count = len(chosen)
         generator = host_generator(seed, HostStream.MINIBATCHES)
@@ -127,16 +130,17 @@ class Trainer:
         self._order = HostArray.of(device, order)
         self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
         self._batches = minibatches(count, settings.batch)
-        self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
+        self._index = GridIndex.of(self._encoder, description.encoding, self._batches)
 
         self._layout = PaddedLayout(description, device.vector_width)
+        self._parameters: Averaged
         if previous is not None:
             self._parameters, table = previous._parameters, previous._table.read()
         else:
             self._parameters = Averaged(device, self._layout.pack(network.parameters))
             table = network.table
         moments = 2 * description.encoding.grid_features if settings.table_adam else 2
-        self._table = TouchedTable(device, table, self._index.touched, moments)
+        self._table: TouchedTable = TouchedTable(device, table, self._index.touched, moments)
         self._shape = StepShape.of(device, description, self._layout, settings, samples)
         self._program = self._build()
         self._gradients, self._adam = (self._program.own_kernel(n) for n in ("gradients", "adam"))

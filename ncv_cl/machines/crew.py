@@ -15,6 +15,7 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass, field
+from typing import Any
 
 from .processes import Processes
 from .values import CannotTravel, Values, pickled
@@ -48,7 +49,7 @@ class Job:
     name: str
     function: Callable[..., object]
     keys: tuple[str, ...]
-    arguments: tuple[object, ...]
+    arguments: tuple[Any, ...]
     tries: int = 0
     said: str = ""
     given: dict[str, bytes] = field(default_factory=dict)
@@ -114,7 +115,8 @@ class Crew:
         TaskError
             When a job has failed `MOST_TRIES` times.
         """
-        waiting, coming, self.stopped = deque(), iter(jobs), False
+        waiting: deque[Job] = deque()
+        coming, self.stopped = iter(jobs), False
         try:
             while True:
                 if not self.stopped and self._stop():
@@ -215,10 +217,13 @@ class Crew:
 
     def _replace_executor(self, error: BaseException) -> bool:
         """A process pool that is broken never works again: others of its kind take over."""
-        broken = isinstance(self._executor, ProcessPoolExecutor) and isinstance(error, BrokenExecutor)
-        if broken:
-            self._executor = self._own = Processes(self._executor._max_workers)
-        return broken
+        old = self._executor
+        if not isinstance(old, ProcessPoolExecutor) or not isinstance(error, BrokenExecutor):
+            return False
+        # Private, and said nowhere else.
+        workers = old._max_workers  # type: ignore[attr-defined]
+        self._executor = self._own = Processes(workers)
+        return True
 
     def close(self) -> None:
         """End the processes that replaced broken ones."""
@@ -252,8 +257,8 @@ def check_executor(executor: object) -> None:
             f"executor must be a concurrent.futures.Executor, got {executor!r}: ncv.Processes(4), or "
             "client.get_executor() of Dask"
         )
-    context = getattr(executor, "_mp_context", None)
-    if isinstance(executor, ProcessPoolExecutor) and context.get_start_method() == "fork":
+    context = executor._mp_context if isinstance(executor, ProcessPoolExecutor) else None
+    if context is not None and context.get_start_method() == "fork":
         raise ValueError(
             "executor forks its processes, and OpenCL does not survive a fork: take ncv.Processes(4), "
             "or ProcessPoolExecutor(4, mp_context=multiprocessing.get_context('spawn'))"

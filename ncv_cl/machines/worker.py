@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from .values import KEPT, Missing
 
@@ -34,7 +35,7 @@ class Answer:
     """
 
     worker: str
-    result: object
+    result: Any
     missing: list[str]
     seconds: float
     processor_seconds: float

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import Program, build
 from ..points.points import ShadingPoints
@@ -68,6 +69,7 @@ class FoldedNetwork:
             **{f"FOLD_{group}": offset for group, offset in offsets.items()},
         }
         heads_array = HostArray.of(device, transposed)
+        groups: Arguments = {group.lower(): self.groups[group] for group in WEIGHT_GROUPS}
         build(device, ("common", "surface", "encode", "fold"), defines).kernel("fold")(
             -(-points.active // width),
             count=points.active,
@@ -77,12 +79,12 @@ class FoldedNetwork:
             table=HostArray.of(device, network.table),
             heads=heads_array,
             factor=factor if factor is not None else heads_array,
-            **{group.lower(): self.groups[group] for group in WEIGHT_GROUPS},
+            **groups,
         )
         device.queue.finish()
 
     @property
-    def arrays(self) -> dict[str, HostArray]:
+    def arrays(self) -> Arguments:
         return {"w2": self._w2, **{group.lower(): array for group, array in self.groups.items()}}
 
     def program(self) -> Program:

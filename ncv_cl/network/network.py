@@ -18,6 +18,7 @@ from ..host.files import (
     read_arrays,
     real_number,
     record_of,
+    save_arrays,
     some_of,
     whole_number,
     write_whole,
@@ -233,8 +234,8 @@ class Network:
     def write(self, file: BinaryIO, **companions: np.ndarray) -> None:
         """As `save`, into an open file."""
         text = json.dumps({"description": asdict(self.description), "cube": asdict(self.cube)})
-        arrays = {"parameters": self.parameters, "table": self.table}
-        np.savez(file, about=np.array(text), **arrays, **companions)
+        arrays = {"about": np.array(text), "parameters": self.parameters, "table": self.table}
+        save_arrays(file, arrays | companions)
 
     @classmethod
     def load(cls, path: str | Path) -> Network:
@@ -275,11 +276,11 @@ class Network:
         lower, largest = cube["lower"], float(np.finfo(np.float32).max)
         if not isinstance(lower, list) or len(lower) != 3:
             raise ValueError(f"the cube's lower corner must be three numbers, is {lower!r}")
-        corner = tuple(real_number("the cube's corner", one, -largest, largest) for one in lower)
+        x, y, z = (real_number("the cube's corner", one, -largest, largest) for one in lower)
         side = real_number("the cube's side", cube["side"], float(np.finfo(np.float32).tiny), largest)
         return cls(
             description,
             array_of(arrays, "parameters", np.float32, (description.parameter_count,)),
             array_of(arrays, "table", np.float32, description.encoding.table_shape),
-            GridCube(corner, side),
+            GridCube((x, y, z), side),
         )

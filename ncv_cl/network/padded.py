@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from .network import NetworkDescription
@@ -72,7 +73,7 @@ class Averaged:
         self.average = HostArray.of(device, start)
 
     @property
-    def arrays(self) -> dict[str, HostArray]:
+    def arrays(self) -> Arguments:
         """As adam.cl calls them."""
         return {
             "parameters": self.value,

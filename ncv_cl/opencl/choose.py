@@ -16,6 +16,7 @@ from .device import (
     open_device,
     pocl_version,
 )
+from .prefer import facts_of, gpu_pays
 from .probe import Probe, measure, record
 from .runtimes import INTEL_PLATFORM, platforms
 
@@ -40,10 +41,18 @@ class DeviceReport:
 
 
 class DeviceList(list[DeviceReport]):
-    """Device reports that print one line each."""
+    """Device reports that print one line each, and below which of them is taken, and why.
+
+    Attributes
+    ----------
+    choice : str
+        That last line.
+    """
+
+    choice = ""
 
     def __str__(self) -> str:
-        return "\n".join(str(report) for report in self)
+        return "\n".join([*map(str, self), *([self.choice] if self.choice else [])])
 
     __repr__ = __str__
 
@@ -66,7 +75,14 @@ def devices() -> DeviceList:
     DeviceError
         If there is none; the message says what to install.
     """
-    return DeviceList(map(_report, _listed()))
+    listed = _listed()
+    found = DeviceList(map(_report, listed))
+    try:
+        device, why = _chosen(None, listed)
+        found.choice = f"taken unless another is named: [{device.index}], {why}"
+    except DeviceError as error:
+        found.choice = f"none is taken: {first_error(error)}"
+    return found
 
 
 def _report(device: Device) -> DeviceReport:
@@ -91,9 +107,10 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     ----------
     selector : Device, int or str, optional
         A device, an index from `devices()`, or part of a device's or platform's name. Without one:
-        the variable ``NCV_CL_DEVICE`` (index or name), then pyopencl's ``PYOPENCL_CTX``, then a GPU if
-        there is one, else of the CPU runtimes the newest PoCL from 3.1 on, Intel's, an older PoCL, or
-        what there is. No clock decides, so it is the same device every time.
+        the variable ``NCV_CL_DEVICE`` (index or name), then pyopencl's ``PYOPENCL_CTX``, then the GPU of
+        the highest peak if that pays (`prefer.gpu_pays`), else of the CPU runtimes the newest PoCL from
+        3.1 on, Intel's, an older PoCL, or what there is. No clock decides, so it is the same device
+        every time.
 
     Raises
     ------
@@ -103,31 +120,48 @@ def choose_device(selector: Device | int | str | None = None) -> Device:
     check_process()
     if isinstance(selector, Device):
         return selector
-    device = _chosen(selector)
+    device, _ = _chosen(selector, _listed())
     record(device)
     return device
 
 
-def _chosen(selector: int | str | None) -> Device:
-    found = _listed()
+def _chosen(selector: int | str | None, found: list[Device]) -> tuple[Device, str]:
+    """The device that is taken of those `found`, and why."""
+    why = "as asked for"
     if selector is None:
         selector = os.environ.get(VARIABLE) or None
+        why = f"as {VARIABLE} says"
     if selector is not None:
-        return _checked(_match(found, selector))
+        return _checked(_match(found, selector)), why
     if os.environ.get(_PYOPENCLS_VARIABLE):
-        return _checked(_match_as_pyopencl(found))
+        return _checked(_match_as_pyopencl(found)), f"as {_PYOPENCLS_VARIABLE} says"
     usable = [device for device in found if device.problem is None]
     if not usable:
         problems = "; ".join(f"{device.name}, {device.problem}" for device in found)
         raise DeviceError(f"no OpenCL device can be used: {problems}")
-    return max(usable, key=_preference)
+    return _by_rule(usable)
+
+
+def _by_rule(usable: list[Device]) -> tuple[Device, str]:
+    """The GPU of the highest peak where it pays, else the CPU whose runtime is known to be fastest."""
+    if len(usable) == 1:
+        return usable[0], "the only device that can be used"
+    gpus = [device for device in usable if device.is_gpu]
+    others = [device for device in usable if not device.is_gpu]
+    facts = {device: facts_of(device.cl_device) for device in usable}
+    gpu = max(gpus, key=lambda device: (facts[device].is_gpu, facts[device].peak), default=None)
+    if gpu is not None and not others:
+        return gpu, "the GPU of the highest peak, without a CPU's runtime beside it"
+    cpu = max(others, key=_preference)
+    if gpu is None:
+        return cpu, "whose runtime is known to be the fastest of these"
+    pays, why = gpu_pays(facts[gpu], facts[cpu])
+    return (gpu if pays else cpu), why
 
 
 def _preference(device: Device) -> tuple[int, tuple[int, int]]:
     """A rank: the highest measured fastest on several CPUs; equal ones keep the loader's order."""
     version = pocl_version(device.cl_device)
-    if device.is_gpu:
-        return 4, (0, 0)
     if version is not None:
         return (3 if version >= (3, 1) else 1), version
     return (2 if device.platform_name == INTEL_PLATFORM else 0), (0, 0)

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import pyopencl as cl
 
+from .limits import DeviceError, DeviceMemory
 from .runtimes import loaded_elsewhere, platforms
 
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA) that does
@@ -45,10 +46,6 @@ OTHER_RUNTIME_HINT = (
     "install another runtime: `pip install 'ncv_cl[intel]'` brings Intel's for any x86-64 CPU; on "
     "Debian and Ubuntu `apt install pocl-opencl-icd` brings a newer PoCL"
 )
-
-
-class DeviceError(RuntimeError):
-    """No usable OpenCL device, or the one asked for does not exist."""
 
 
 def check_process() -> None:
@@ -109,6 +106,8 @@ class Device:
         LANES: work-items that cooperate on one shading point.
     use_fma : bool
         Whether kernels call `fma` or write `a * b + c` with ``-cl-mad-enable``; see `prefers_fma`.
+    memory : DeviceMemory
+        How much there is, and whether the host shares it.
     context, queue
         pyopencl's; raise `DeviceError` where `check_process` does.
     """
@@ -118,8 +117,10 @@ class Device:
     vector_width: int = 1
     lanes: int = 1
     use_fma: bool = True
-    _context: cl.Context = field(repr=False, default=None)
-    _queue: cl.CommandQueue = field(repr=False, default=None)
+    # A device that is only listed needs none of these; whoever asks for one has opened it.
+    memory: DeviceMemory = field(repr=False, default=None)  # type: ignore[assignment]
+    _context: cl.Context = field(repr=False, default=None)  # type: ignore[assignment]
+    _queue: cl.CommandQueue = field(repr=False, default=None)  # type: ignore[assignment]
 
     @property
     def context(self) -> cl.Context:
@@ -286,9 +287,16 @@ def open_device(
         vector_width or default_vector_width,
         lanes or default_lanes,
         prefers_fma(cl_device) if use_fma is None else use_fma,
+        _memory(cl_device),
         context,
         cl.CommandQueue(context),
     )
+
+
+@once
+def _memory(cl_device: cl.Device) -> DeviceMemory:
+    """One count for all that use the device, whatever their shape."""
+    return DeviceMemory.of(cl_device)
 
 
 @once

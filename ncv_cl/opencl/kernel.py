@@ -5,7 +5,7 @@ from __future__ import annotations
 import numbers
 import re
 import threading
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -23,6 +23,8 @@ _TYPES = {
     "float": np.float32,
     "double": np.float64,
 }
+# Arguments of a kernel by name, numbers and arrays mixed: a call checks them by the kernel's signature.
+Arguments: TypeAlias = dict[str, Any]
 # What is passed for a pointer to a type that the program defines: the kernel alone knows what it is.
 _ANY = object()
 
@@ -54,8 +56,8 @@ class Kernel:
         self._signature: list[tuple[str, Any]] = []
         self._type_names: dict[str, str] = {}
         for position in range(kernel.num_args):
-            type_name = kernel.get_arg_info(position, info.TYPE_NAME).strip("\0 ")
-            name = kernel.get_arg_info(position, info.NAME).strip("\0 ")
+            type_name = str(kernel.get_arg_info(position, info.TYPE_NAME)).strip("\0 ")
+            name = str(kernel.get_arg_info(position, info.NAME)).strip("\0 ")
             self._type_names[name] = type_name
             if type_name.endswith("*"):
                 scalars.append(None)

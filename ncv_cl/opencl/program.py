@@ -144,7 +144,9 @@ def _built(device: Device, text: str, options: list[str]) -> cl.Program:
         except cl.RuntimeError as error:
             if error.code != cl.status_code.KERNEL_ARG_INFO_NOT_AVAILABLE:
                 raise
-            program = cl.Program(device.context, text).build(options, cache_dir=False)
+            program = cl.Program(device.context, text)
+            # False turns the cache off, which pyopencl's hints leave out.
+            program.build(options, cache_dir=False)  # type: ignore[arg-type]
     return program
 
 

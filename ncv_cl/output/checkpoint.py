@@ -16,6 +16,7 @@ from ..host.files import (
     json_of,
     read_arrays,
     record_of,
+    save_arrays,
     whole_number,
     write_whole,
 )
@@ -159,11 +160,12 @@ class Checkpoint:
         edges = (self.image.edges, direct_edges)
         about = dict(zip(ABOUT, (self.identity, self.method, *edges), strict=True))
         arrays["checkpoint"] = np.array(json.dumps(about))
-        if self.network is None:
-            write_whole(path, lambda file: np.savez(file, **arrays))
+        network = self.network
+        if network is None:
+            write_whole(path, lambda file: save_arrays(file, arrays))
             return
         arrays |= self.density_network.arrays() if self.density_network is not None else {}
-        write_whole(path, lambda file: self.network.write(file, **arrays))
+        write_whole(path, lambda file: network.write(file, **arrays))
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:

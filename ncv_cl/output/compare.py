@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import OpenImageIO as oiio
 
-from .image import Image, error_metrics, png_bytes, show_png
+from .image import Image, error_metrics, float_pixels, png_bytes, show_png
 
 # White in maps of errors, as a percentile: a few fireflies leave the rest visible.
 _WHITE = 99.0
@@ -108,9 +108,7 @@ def flip_map(reference: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
         for one in (reference, pixels)
     )
     found = oiio.ImageBufAlgo.FLIP_diff(first, second, hdr=0)
-    if found.has_error:
-        raise RuntimeError(f"FLIP failed: {found.geterror()}")
-    return found.get_pixels(oiio.FLOAT)[:, :, 0]
+    return float_pixels(found, "FLIP")[:, :, 0]
 
 
 def _pixels(one: Image | np.ndarray) -> np.ndarray:
@@ -126,8 +124,6 @@ def _coloured(values: np.ndarray) -> np.ndarray:
     """Numbers in [0, 1] as colours, linear RGB."""
     one = oiio.ImageBuf(np.ascontiguousarray(np.clip(values, 0, 1)[:, :, None], dtype=np.float32))
     mapped = oiio.ImageBufAlgo.color_map(one, 0, "magma")
-    if mapped.has_error:
-        raise RuntimeError(f"colouring failed: {mapped.geterror()}")
     # The map's colours are for the screen: as linear light they look the same there.
-    srgb = mapped.get_pixels(oiio.FLOAT)[:, :, :3]
+    srgb = float_pixels(mapped, "colouring")[:, :, :3]
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

@@ -8,7 +8,7 @@ import tempfile
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import OpenImageIO as oiio
@@ -27,6 +27,10 @@ _METADATA_ATTRIBUTE = "ncv_cl_metadata"
 
 # The colour spaces of OpenImageIO's built-in configuration, whatever $OCIO names.
 _COLOR_CONFIG, _LINEAR, _SRGB = "ocio://default", "lin_rec709", "srgb"
+
+
+# Of a picture, by name.
+Metadata: TypeAlias = dict[str, str | int | float]
 
 
 @dataclass
@@ -60,7 +64,7 @@ class Image:
     variance: np.ndarray
     layers: dict[str, np.ndarray] = field(default_factory=dict)
     stats: dict[str, Any] = field(default_factory=dict)
-    metadata: dict[str, str | int | float] = field(default_factory=dict)
+    metadata: Metadata = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.pixels = np.asarray(self.pixels, dtype=np.float32)
@@ -90,11 +94,11 @@ class Image:
         """
         path = Path(path)
         check_output_path(path)
-        if path.suffix.lower() == ".png":
-            names, data, attributes = _RGB, _tone_map(self.pixels), {"oiio:ColorSpace": "srgb"}
-        else:
+        if path.suffix.lower() == ".exr":
             names, data = self._channels()
             attributes = _exr_attributes(self.metadata)
+        else:
+            names, data, attributes = _RGB, _tone_map(self.pixels), {"oiio:ColorSpace": "srgb"}
         # A folder, not a file of tempfile's: the image then gets the permissions of the umask.
         with tempfile.TemporaryDirectory(prefix=PREFIX, dir=path.parent) as folder:
             complete = Path(folder) / path.name
@@ -318,19 +322,25 @@ def _tone_map(pixels: np.ndarray) -> np.ndarray:
     converted = oiio.ImageBufAlgo.colorconvert(
         oiio.ImageBuf(clamped), _LINEAR, _SRGB, colorconfig=_COLOR_CONFIG
     )
-    if converted.has_error:
-        raise RuntimeError(f"sRGB conversion failed: {converted.geterror()}")
-    return converted.get_pixels(oiio.FLOAT)
+    return float_pixels(converted, "sRGB conversion")
 
 
-def _exr_attributes(metadata: dict[str, str | int | float]) -> dict[str, str | int | float]:
+def float_pixels(image: oiio.ImageBuf, what: str) -> np.ndarray:
+    """What OpenImageIO has made, float32 (height, width, channels); an error says that `what` failed."""
+    found = None if image.has_error else image.get_pixels(oiio.FLOAT)
+    if found is None:
+        raise RuntimeError(f"{what} failed: {image.geterror()}")
+    return found
+
+
+def _exr_attributes(metadata: Metadata) -> Metadata:
     plain = {}
     for key, value in metadata.items():
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(key, str) or not isinstance(value, (str, int, float)):
             raise ValueError(f"metadata {key!r} must be a str, int or float, not {value!r}")
         plain[key] = value
-    attributes: dict[str, str | int | float] = {"compression": "zip"}
+    attributes: Metadata = {"compression": "zip"}
     attributes[_METADATA_ATTRIBUTE] = json.dumps(plain)
     for key, value in plain.items():
         fits = not isinstance(value, int) or -(2**31) <= value < 2**31
@@ -343,7 +353,7 @@ def _write_file(
     shown: Path,
     names: tuple[str, ...],
     data: np.ndarray,
-    attributes: dict[str, str | int | float],
+    attributes: Metadata,
 ) -> None:
     """Write float channels to `file` (8 bits in a PNG); errors name the path `shown`."""
     height, width, count = data.shape

@@ -46,9 +46,10 @@ class Keep:
         self, network: Network, companions: dict[str, np.ndarray], guide: Guide | None = None
     ) -> None:
         """Write the trained network, if it is wanted, and what was learned with it."""
-        if self.network is not None:
+        path = self.network
+        if path is not None:
             more = companions if guide is None else companions | guide_arrays(guide)
-            self._attempt(self.network, lambda: network.save(self.network, **more))
+            self._attempt(path, lambda: network.save(path, **more))
 
     def note_no_network(self) -> None:
         """Note that there is no network to write."""
@@ -65,7 +66,8 @@ class Keep:
         allocation: Allocation | None = None,
     ) -> None:
         """Write a checkpoint, if it is wanted; with an `allocation` that must not be made again."""
-        if self.checkpoint is None:
+        path = self.checkpoint
+        if path is None:
             return
         counts = None
         if allocation is not None:
@@ -83,7 +85,7 @@ class Keep:
             guide=guide,
             counts=counts,
         )
-        self._attempt(self.checkpoint, lambda: found.save(self.checkpoint))
+        self._attempt(path, lambda: found.save(path))
 
     def _attempt(self, path: str | Path, write: Callable[[], None]) -> None:
         try:

@@ -54,7 +54,7 @@ class PixelGrid:
         """One channel (points,), filtered: float64 (height, width). What is not there counts as zero."""
         if self._weights is None:
             return self.plane(values, points) / self.cells_a_pixel
-        return self._filtered(values, self._cell[points], 1)
+        return self._filtered(self._weights, values, self._cell[points], 1)
 
     def variance_of_mean(self, values: np.ndarray, points: slice) -> np.ndarray:
         """Variance of `mean`, of the variances of points whose errors are independent.
@@ -64,13 +64,13 @@ class PixelGrid:
         if self._weights is None:
             # Variances add with the square of the weight.
             return self.plane(values, points) / self.cells_a_pixel / self.cells_a_pixel
-        return self._filtered(values, self._cell[points], 2)
+        return self._filtered(self._weights, values, self._cell[points], 2)
 
     def mean_of_cells(self, values: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """As `mean`, of values of sub-pixels that hold no point."""
         if self._weights is None:
             return self._counted(values, self.pixel_of(cells)) / self.cells_a_pixel
-        return self._filtered(values, cells, 1)
+        return self._filtered(self._weights, values, cells, 1)
 
     def average(self, values: np.ndarray, points: slice, channels: int | None = None) -> np.ndarray:
         """`mean` of channels (channels, points): `layer_type` (height, width, channels).
@@ -78,7 +78,7 @@ class PixelGrid:
         A single channel is repeated, if more are asked for.
         """
         shape = (self.height, self.width, channels or len(values))
-        found = np.empty(shape, self.layer_type)
+        found: np.ndarray = np.empty(shape, self.layer_type)
         for channel, row in enumerate(values):
             wanted = slice(None) if len(values) == 1 else slice(channel, channel + 1)
             found[..., wanted] = self.mean(row, points)[..., None]
@@ -88,22 +88,24 @@ class PixelGrid:
         found = np.bincount(pixel, values, self.width * self.height)
         return found.reshape(self.height, self.width).astype(np.float64, copy=False)
 
-    def _filtered(self, values: np.ndarray, cells: np.ndarray, power: int) -> np.ndarray:
+    def _filtered(
+        self, weights: np.ndarray, values: np.ndarray, cells: np.ndarray, power: int
+    ) -> np.ndarray:
         """Sums with weights to some power, over those of what lies in the picture."""
         rows, columns = self.height * self._side, self.width * self._side
         plane = np.zeros(rows * columns)
         plane[cells] = values
-        along = self._along(plane.reshape(rows, columns).T, power)
-        return self._along(along.T, power)
+        along = self._along(weights, plane.reshape(rows, columns).T, power)
+        return self._along(weights, along.T, power)
 
-    def _along(self, plane: np.ndarray, power: int) -> np.ndarray:
+    def _along(self, weights: np.ndarray, plane: np.ndarray, power: int) -> np.ndarray:
         """Sub-pixels (n, m) filtered along the first axis, (n / side, m)."""
-        reach = (len(self._weights) - self._side) // 2
+        reach = (len(weights) - self._side) // 2
         padded = np.zeros((len(plane) + 2 * reach, plane.shape[1]))
         padded[reach : reach + len(plane)] = plane
         inside = np.zeros((len(padded), 1))
         inside[reach : reach + len(plane)] = 1.0
         last = len(plane) - self._side + 1
-        total = sum(w**power * padded[i : i + last : self._side] for i, w in enumerate(self._weights))
-        share = sum(w * inside[i : i + last : self._side] for i, w in enumerate(self._weights))
+        total = sum(w**power * padded[i : i + last : self._side] for i, w in enumerate(weights))
+        share = sum(w * inside[i : i + last : self._side] for i, w in enumerate(weights))
         return total / share**power

@@ -8,6 +8,7 @@ import math
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -60,11 +61,11 @@ def statistics(
     residual: Estimate | None,
     network: Network | None,
     points_done_twice: int,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Counts of a render; means are over the sampled points."""
     drawn = _mean_samples(plain) if points.active else 0.0
     trained = _mean_samples(training)
-    found: dict[str, object] = {
+    found: dict[str, Any] = {
         "rays_traced": rays.traced,
         "rays_on_device": rays.on_device,
         "samples_off_lines": rays.off_lines,
@@ -89,7 +90,7 @@ def statistics(
     return found
 
 
-def about_direct(apart: Apart, found: Estimate, settings: Settings) -> dict[str, object]:
+def about_direct(apart: Apart, found: Estimate, settings: Settings) -> dict[str, Any]:
     """Counts of direct light that was estimated apart; means are over the points that face a light."""
     rays = apart.source.rays
     return {
@@ -129,7 +130,7 @@ def about_values(image: Image, reference: np.ndarray | None) -> None:
     image.stats = finite(stats)
 
 
-def finite(value: object) -> object:
+def finite(value: Any) -> Any:
     """The same with None for NaN and infinity, which JSON cannot hold."""
     if isinstance(value, dict):
         return {name: finite(one) for name, one in value.items()}
@@ -141,7 +142,7 @@ def finite(value: object) -> object:
 
 def skips(
     points: ShadingPoints, rays: RayCount, inputs: tuple[str, ...], varying: tuple[str, ...]
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """What the scene did not need; skipped rays count with the mean seconds of traced ones."""
     a_ray = rays.trace_seconds / rays.traced if rays.traced else 0.0
     return {
@@ -156,7 +157,7 @@ def skips(
 
 def identity(
     scene: Scene, settings: Settings, device: Device, network: Network | None
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """All that decides an image's bits, by name; `network` is the one that was given."""
     return {
         "version": package_version(),
@@ -183,10 +184,10 @@ def metadata(
     device: Device,
     drawn: Estimate | None,
     before: Estimate | None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """What image files carry: enough to render them again."""
     chosen = settings.options("sampling", "training", "stopping")
-    found: dict[str, object] = {
+    found: dict[str, Any] = {
         "version": package_version(),
         "scene": scene.name,
         "scene_digest": scene.digest,

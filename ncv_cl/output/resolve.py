@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..integrands.emitted import emitted_light
-from ..points.points import SURFACE, ShadingPoints
+from ..points.points import ShadingPoints, surface_window
 from ..sampling.accumulate import Estimate
 from ..scene.load import Scene
 from ..settings.settings import Settings
@@ -123,26 +123,26 @@ def resolve_image(
     own = combine(*estimate_of(plain, residual, integral), training, samples, by_count)
     mean, variance = with_direct(*own, direct)
     emitted = emitted_light(scene, integrand, points)
-    emitted = emitted.T if emitted.any() else None
+    emits = emitted.any()
     beyond = _background(scene, settings, points)
     pixels, pixel_variance = (np.empty((grid.height, grid.width, 3), np.float32) for _ in range(2))
     for channel in range(3):
         # Of one channel all three are the same number.
-        own = channel % len(mean)
-        plane = grid.mean(mean[own], active)
-        if emitted is not None:
-            plane += grid.mean(emitted[channel], everything)
+        row = channel % len(mean)
+        plane = grid.mean(mean[row], active)
+        if emits:
+            plane += grid.mean(emitted[:, channel], everything)
         if beyond is not None:
             plane += grid.mean_of_cells(beyond[1][:, channel], beyond[0])
         pixels[..., channel] = plane
-        pixel_variance[..., channel] = grid.variance_of_mean(variance[own], active)
+        pixel_variance[..., channel] = grid.variance_of_mean(variance[row], active)
     del emitted, beyond
-    with points.surface.mapped() as rows:
-        layers = {
-            "albedo": grid.average(rows[SURFACE["albedo"]], everything),
-            "N": grid.average(rows[SURFACE["normal"]], everything),
-            "depth": _depth(scene, grid, rows[SURFACE["position"]]),
-        }
+    surface, layers = points.surface, {}
+    for layer, name in (("albedo", "albedo"), ("N", "normal")):
+        with surface.mapped(window=surface_window(surface, name)) as rows:
+            layers[layer] = grid.average(rows, everything)
+    with surface.mapped(window=surface_window(surface, "position")) as position:
+        layers["depth"] = _depth(scene, grid, position)
     if residual is not None and integral is not None:
         layers["G"] = grid.average(integral, active, 3)
         layers["residual"] = grid.average(residual.mean, active, 3)

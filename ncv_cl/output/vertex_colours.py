@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import trimesh
 
 from ..host.files import write_whole
-from ..scene.uv_mesh import checked_triangles
+from ..scene.uv_mesh import Triangles, checked_triangles
 
 COLOURED_MESHES = (".ply", ".glb")
 
 
-def write_vertex_colours(path: str | Path, mesh: object, values: np.ndarray) -> None:
+def write_vertex_colours(path: str | Path, mesh: Triangles, values: np.ndarray) -> None:
     """Write a mesh with colours of eight bits: a PLY's have the sRGB curve, a GLB's are linear.
 
     Parameters
     ----------
     path : str or Path
         .ply or .glb.
-    mesh : object
+    mesh
         With `vertices` and `triangles`.
     values : ndarray
         (vertices, 3), or (vertices,) or (vertices, 1) for grey; clamped to [0, 1].
@@ -42,4 +43,6 @@ def write_vertex_colours(path: str | Path, mesh: object, values: np.ndarray) -> 
     bytes_ = np.rint(255 * (curve if suffix == ".ply" else linear)).astype(np.uint8)
     coloured = trimesh.Trimesh(vertices, triangles, vertex_colors=bytes_, process=False)
     written = coloured.export(file_type=suffix[1:])
-    write_whole(path, lambda file: file.write(written))
+    # Both kinds of file are bytes, of what trimesh may return.
+    content = cast(bytes, written)
+    write_whole(path, lambda file: file.write(content))

@@ -54,8 +54,9 @@ def group_points(points: ShadingPoints, members: int, window: int, apart: int = 
     if members == 1:
         return Groups(np.arange(points.active, dtype=np.uint32))
     names = ("position", "normal", "albedo", "reflectance")
-    rows = [points.rows(name)[:, : points.active] for name in names]
-    groups, rest = [], []
+    rows = [points.active_rows(name) for name in names]
+    groups: list[np.ndarray] = []
+    rest: list[np.ndarray] = []
     for first in range(0, points.active, BLOCK_POINTS):
         of_block = [row[:, first : first + BLOCK_POINTS] for row in rows]
         for found, own in zip(

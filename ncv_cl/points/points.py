@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..opencl.device import Device
+from ..opencl.device import GROUP_SIZE, Device
+from ..opencl.kernel import Kernel
 from ..opencl.layout import Record
-from ..opencl.memory import HostArray
+from ..opencl.memory import HostArray, Window
 from ..opencl.program import Program, build
 from ..scene.load import Camera, Scene
 from ..scene.textures.surface import Surface, bent_normals, surface_at, varies
@@ -44,6 +45,8 @@ RELATIVE_OFFSET = 32 * 2.0**-24
 # This part of a triangle's extent counts for every normal, so that the offset is never zero.
 LEAST_SPREAD = 2.0**-10
 CAMERA_RAYS_PER_BATCH = 1 << 19
+# Origin and direction.
+CAMERA_RAY_BYTES = 4 * (3 + 3)
 
 
 def surface_defines() -> dict[str, int | str]:
@@ -99,10 +102,31 @@ class ShadingPoints:
     def total(self) -> int:
         return len(self.cell)
 
-    def rows(self, name: str) -> np.ndarray:
-        """A copy of one property, float32 (floats, total); `name` as in `SURFACE`."""
-        with self.surface.mapped() as surface:
-            return surface[SURFACE[name]].copy()
+    def rows(self, name: str, points: range | None = None) -> np.ndarray:
+        """A copy of one property, float32 (floats, points), of `points` or of all.
+
+        `name` is as in `SURFACE`. Nothing else is read.
+        """
+        return self.surface.read(window=surface_window(self.surface, name, points))
+
+    def active_rows(self, name: str) -> np.ndarray:
+        """The same of the active points."""
+        return self.rows(name, range(self.active))
+
+    def taken(self, order: np.ndarray) -> HostArray:
+        """`surface` of the points that `order` (indices) names, in its order; made on the device."""
+        device, count = self.surface.device, len(order)
+        surface = HostArray(device, (SURFACE.size, count), np.float32)
+        points_program(device).kernel("take_points")(
+            (count, SURFACE.size),
+            count=count,
+            total_points=self.total,
+            order=HostArray.of(device, order.astype(np.uint32)),
+            surface=self.surface,
+            taken=surface,
+            group=(GROUP_SIZE, 1),
+        )
+        return surface
 
     def with_dark_last(self, dark: np.ndarray) -> ShadingPoints:
         """The same points, of the active ones those where `dark` (active,) is true last."""
@@ -110,10 +134,7 @@ class ShadingPoints:
             return self
         order = np.arange(self.total)
         order[: self.active] = np.argsort(dark, kind="stable")
-        surface = HostArray(self.surface.device, self.surface.shape, np.float32)
-        with self.surface.mapped() as old, surface.mapped(write=True) as new:
-            for row, values in zip(new, old, strict=True):
-                np.take(values, order, out=row)
+        surface = self.taken(order)
         names = ("cell", "light", "material", "emission_factor")
         kept = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(self, surface=surface, **{name: one[order] for name, one in kept.items()})
@@ -121,6 +142,12 @@ class ShadingPoints:
     def without_last(self, dark: int) -> ShadingPoints:
         """The same points, the last `dark` active ones inactive."""
         return replace(self, active=self.active - dark, dark=dark)
+
+
+def surface_window(surface: HostArray, name: str, points: range | None = None) -> Window:
+    """Where a `surface` holds a property of `points`, by default of all."""
+    at, total = SURFACE[name], surface.shape[1]
+    return Window(0, total, range(at.start, at.stop), range(total) if points is None else points)
 
 
 def points_program(device: Device) -> Program:
@@ -221,7 +248,8 @@ def find_points(
     active = len(hit) if every else int(np.count_nonzero(light < 0))
     cell = (hit + cells.start).astype(np.uint32)
     # Large images: only what is needed is kept.
-    hits = (hits.triangle[hit], hits.u[hit], hits.v[hit])
+    triangle, u, v = hits.triangle[hit], hits.u[hit], hits.v[hit]
+    del hits
     background = len(cells) - len(cell)
 
     surface = HostArray(device, (SURFACE.size, len(cell)), np.float32)
@@ -232,9 +260,9 @@ def find_points(
         rows=rows,
         total_points=len(cell),
         cells=HostArray.of(device, cell),
-        hit_triangle=HostArray.of(device, hits[0].astype(np.uint32)),
-        hit_u=HostArray.of(device, hits[1]),
-        hit_v=HostArray.of(device, hits[2]),
+        hit_triangle=HostArray.of(device, triangle.astype(np.uint32)),
+        hit_u=HostArray.of(device, u),
+        hit_v=HostArray.of(device, v),
         vertices=HostArray.of(device, scene.vertices),
         vertex_normals=HostArray.of(device, scene.vertex_normals),
         triangles=HostArray.of(device, scene.triangles),
@@ -243,37 +271,47 @@ def find_points(
         surface=surface,
     )
     device.queue.finish()
-    emission_factor = _vary(surface, scene, *hits) if varies(scene) else None
-    material = scene.triangle_material[hits[0]]
+    emission_factor = _vary(surface, scene, triangle, u, v) if varies(scene) else None
+    material = scene.triangle_material[triangle]
     return ShadingPoints(
         surface, cell, light, active, background, 0, material, scene.origin, emission_factor
     )
 
 
-def _vary(surface: HostArray, scene: Scene, *hits: np.ndarray) -> np.ndarray:
+def _vary(
+    surface: HostArray, scene: Scene, triangle: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
     """Put in what textures and colours of vertices make of hits, as `surface_at` takes them.
 
     Returns `ShadingPoints.emission_factor`.
     """
-    factor = vary_colours(surface, surface_at(scene, *hits))
-    with surface.mapped(update=True) as rows:
-        normal, outgoing = (rows[SURFACE[name]].T for name in ("normal", "outgoing"))
-        rows[SURFACE["normal"]] = bent_normals(scene, *hits, normal, outgoing).T
+    factor = vary_colours(surface, surface_at(scene, triangle, u, v))
+    outgoing = surface.read(window=surface_window(surface, "outgoing")).T
+    with surface.mapped(update=True, window=surface_window(surface, "normal")) as normal:
+        normal[...] = bent_normals(scene, triangle, u, v, normal.T, outgoing).T
     return factor
 
 
 def vary_colours(surface: HostArray, found: Surface) -> np.ndarray:
     """Put in what points reflect; returns `ShadingPoints.emission_factor`."""
-    with surface.mapped(update=True) as rows:
-        for name in ("albedo", "reflectance", "roughness"):
-            rows[SURFACE[name]] = getattr(found, name).T
+    for name in ("albedo", "reflectance", "roughness"):
+        with surface.mapped(write=True, window=surface_window(surface, name)) as rows:
+            rows[...] = getattr(found, name).T
     return found.emission_factor.astype(np.float32)
 
 
-def _trace_camera(device, tracer, camera_rays, camera, columns: int, rows: int, cells: range) -> Hits:
-    batch = min(CAMERA_RAYS_PER_BATCH, len(cells))
-    origins = HostArray(device, (batch, 3), np.float32)
-    directions = HostArray(device, (batch, 3), np.float32)
+def _trace_camera(
+    device: Device,
+    tracer: Tracer,
+    camera_rays: Kernel,
+    camera: HostArray,
+    columns: int,
+    rows: int,
+    cells: range,
+) -> Hits:
+    batch = device.memory.fitting(min(CAMERA_RAYS_PER_BATCH, len(cells)), CAMERA_RAY_BYTES)
+    origins = HostArray(device, (batch, 3), np.float32, streams=True)
+    directions = HostArray(device, (batch, 3), np.float32, streams=True)
     found = []
     for first in range(cells.start, cells.stop, batch):
         count = min(batch, cells.stop - first)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.uv_mesh import checked_mesh
+from ..scene.uv_mesh import TrianglesOnMap, checked_mesh
 
 # Pairs of a triangle and a place on the map that are looked at together.
 PAIRS_AT_ONCE = 1 << 20
@@ -41,7 +42,7 @@ class Texels:
     counts: dict[str, int]
 
 
-def find_texels(mesh: object, size: tuple[int, int], samples: int) -> Texels:
+def find_texels(mesh: TrianglesOnMap, size: tuple[int, int], samples: int) -> Texels:
     """The places of a map of `size`, width and height, that lie on the mesh.
 
     Where no place of a texel is on a triangle that covers some of it, its middle is moved to the nearest
@@ -125,7 +126,9 @@ def _inside(corners: np.ndarray, grid: tuple[int, int]) -> tuple[np.ndarray, int
     return owner, int(np.count_nonzero(depth > 1))
 
 
-def _candidates(corners: np.ndarray, grid: tuple[int, int], slack: float):
+def _candidates(
+    corners: np.ndarray, grid: tuple[int, int], slack: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Pairs of triangles and cells whose boxes meet, in parts: triangle, column, row, int64 (pairs,)."""
     limit = np.array(grid) - 1
     first = np.clip(np.floor(corners.min(axis=1) - 0.5 - slack), 0, limit).astype(np.int64)

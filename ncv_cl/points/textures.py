@@ -76,7 +76,7 @@ def texture_index(scene: Scene, kind: str) -> np.ndarray:
     kind : str
         The attribute of `Maps`.
     """
-    known = {one: index for index, one in enumerate(all_textures(scene))}
+    known: dict[Texture | None, int] = {one: index for index, one in enumerate(all_textures(scene))}
     maps = (material.maps for material in scene.materials)
     found = (None if one is None else getattr(one, kind) for one in maps)
     return np.array([known.get(texture, NO_TEXTURE) for texture in found], np.int32)

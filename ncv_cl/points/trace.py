@@ -175,9 +175,11 @@ class Tracer:
                 self._dim(light, waiting[on & ~again], hits, directions)
             waiting = waiting[on]
 
-    def _dim(self, light: np.ndarray, rays: np.ndarray, hits: Hits, directions: np.ndarray) -> None:
-        """Multiply `light` of those of the `rays` that hit panes."""
-        if self._panes is None:
+    def _dim(
+        self, light: np.ndarray | None, rays: np.ndarray, hits: Hits, directions: np.ndarray
+    ) -> None:
+        """Multiply `light`, if it is asked for, of those of the `rays` that hit panes."""
+        if light is None or self._panes is None:
             return
         rays = rays[self._panes.triangles[hits.triangle[rays]]]
         light[rays] *= self._panes.let_through(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..host.clock import Stopwatch
 from ..output.image import Image
 from ..output.report import about_direct, metadata, seconds_of, skips, statistics
@@ -13,10 +15,10 @@ from .pipeline import Outcome
 
 def counts(
     settings: Settings, problem: Problem, outcome: Outcome, watch: Stopwatch, total: float
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Statistics of estimates, of an image's points or of others; arguments as `describe` takes them."""
     drawn = outcome.drawn
-    stats: dict[str, object] = {"seconds": seconds_of(watch, problem.rays, total)}
+    stats: dict[str, Any] = {"seconds": seconds_of(watch, problem.rays, total)}
     stats |= statistics(
         problem.points,
         problem.rays,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class Integrals:
     mean: np.ndarray
     variance: np.ndarray
     network_integral: np.ndarray | None
-    stats: dict[str, object]
+    stats: dict[str, Any]
 
 
 def estimate(
@@ -124,18 +125,23 @@ def estimate(
     run = Run(clock=Clock(settings.stopping.time_limit, started), stop=settings.stopping.stop or never)
     with carried(problem, machine, run) as problem:
         outcome = estimate_integrals(problem, settings, run, Keep())
-    return _integrals(problem, settings, outcome, run.watch, started)
+    return _integrals(problem, settings, outcome, source.offset, run.watch, started)
 
 
 def _integrals(
-    problem: Problem, settings: Settings, outcome: Outcome, watch: Stopwatch, started: float
+    problem: Problem,
+    settings: Settings,
+    outcome: Outcome,
+    offset: np.ndarray,
+    watch: Stopwatch,
+    started: float,
 ) -> Integrals:
-    """The result of the pipeline, with the constant that `CallableSource` subtracts added again."""
+    """The result of the pipeline, with `CallableSource.offset` added again."""
     drawn, training, integral = outcome.drawn, outcome.before, outcome.integral
-    offset = problem.source.offset[:, None]
+    offset = offset[:, None]
     estimates = estimate_of(drawn.plain, drawn.residual, integral)
     mean, variance = combine(*estimates, training, float(settings.spp), outcome.by_count)
-    stats: dict[str, object] = {}
+    stats: dict[str, Any] = {}
     if problem.carrier is not None:
         stats["machines"] = problem.carrier.statistics()
     stats |= {

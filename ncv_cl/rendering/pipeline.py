@@ -17,13 +17,14 @@ from ..estimation.pilot import draw_pilot
 from ..estimation.stopping import ErrorTarget
 from ..host.clock import UNLIMITED, Run
 from ..learning.learn import learn
-from ..network.network import Network
+from ..network.network import Network, NetworkDescription
 from ..output.checkpoint import Checkpoint
 from ..output.keep import Keep
 from ..sampling.accumulate import Estimate
 from ..sampling.guide import Guide
 from ..sampling.problem import Problem
 from ..settings.settings import Settings
+from .memory import check_memory
 from .plan import Plan, make_plan
 
 
@@ -96,10 +97,13 @@ def estimate_integrals(
     resumed = keep.resumed
     if resumed is not None:
         plan = Plan(settings.planned(resumed.method), "as it was begun")
+        kept = resumed.network
+        check_memory(problem, plan.settings, None if kept is None else kept.description)
         before = _resumed(problem, plan.settings, resumed)
     else:
         wanted = given is not None or keep.network is not None
         plan = make_plan(problem, settings, wanted)
+        check_memory(problem, plan.settings, _description(problem, plan.settings, given))
         before = _learned(problem, plan.settings, run, given)
     settings = plan.settings
     variate = None
@@ -124,6 +128,17 @@ def estimate_integrals(
     )
 
 
+def _description(
+    problem: Problem, settings: Settings, given: Trained | None
+) -> NetworkDescription | None:
+    """Of the network that is given or will be trained; None for plain Monte Carlo."""
+    if settings.method == "mc":
+        return None
+    if given is not None:
+        return given.network.description
+    return settings.preset.description(settings.integrand, problem.inputs)
+
+
 def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | None) -> Before:
     """Train a network or draw a pilot, as the method needs."""
     if settings.method == "mc":
@@ -133,7 +148,7 @@ def _learned(problem: Problem, settings: Settings, run: Run, given: Trained | No
     if given is not None:
         given.network.check_fits(settings.integrand.channels, problem.inputs)
         if given.guide is not None and settings.guides:
-            problem.source.use_guide(given.guide)
+            problem.paths.use_guide(given.guide)
         return Before(given, guide=given.guide)
     learned = learn(problem, settings, run)
     trained = None
@@ -146,7 +161,7 @@ def _resumed(problem: Problem, settings: Settings, resumed: Checkpoint) -> Befor
     """The same from a checkpoint."""
     resumed.check_arrays(settings.integrand.channels, problem.points.active, settings.needs_magnitude)
     if resumed.guide is not None:
-        problem.source.use_guide(resumed.guide)
+        problem.paths.use_guide(resumed.guide)
     trained = None
     if resumed.network is not None:
         trained = Trained(resumed.network, resumed.density_network, resumed.alpha)
@@ -194,7 +209,8 @@ def _drawn(
     image_estimate = begin(problem, settings, run, variate, allocation, done)
     if resumed is not None:
         resumed.image.give_back(image_estimate)
-    share = variate.density.uniform_share if variate and image_estimate.follows_density else 1.0
+    density = variate.density if variate and image_estimate.follows_density else None
+    share = 1.0 if density is None else density.uniform_share
     target = ErrorTarget(settings.stopping.target_mse, problem.narrowest, share)
 
     def after_pass() -> None:

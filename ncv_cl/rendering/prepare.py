@@ -134,8 +134,9 @@ def assemble(
     decisions = Decisions(occluders.longest if occluders else None, lines, slices is not None, split)
     common = (settings.sampling.sampler, settings.seed, SAMPLES_A_PASS)
     apart, rest = None, integrand
-    if split:
-        direct, rest = integrand.apart(scene)
+    parts = integrand.apart(scene) if split else None
+    if parts is not None:
+        direct, rest = parts
         lit = _lit(scene, settings, direct, points)
         own = SampleSource(device, scene, tracer, points, direct, *common, occluders, lines=lines)
         # Paths have no rays to test then.
@@ -253,7 +254,8 @@ def _splits(scene: Scene, settings: Settings, points: ShadingPoints, lines: bool
 def _lit(scene: Scene, settings: Settings, direct: Integrand, points: ShadingPoints) -> np.ndarray:
     """The points that direct light can reach, uint32."""
     lit = np.arange(points.active, dtype=np.uint32)
-    return lit[~direct.dark(scene, points)] if settings.sampling.skip_dark else lit
+    dark = direct.dark(scene, points) if settings.sampling.skip_dark else None
+    return lit if dark is None else lit[~dark]
 
 
 def _slices(

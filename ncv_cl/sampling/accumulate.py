@@ -10,11 +10,13 @@ import numpy as np
 
 from ..network.fold import FoldedNetwork
 from ..opencl.device import GROUP_SIZE, Device
+from ..opencl.kernel import Arguments
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints
-from .samples import Batch, ray_defines
+from ..visibility.room import Batch
+from .samples import ray_defines
 
 # Of every point and channel: the mean so far, what rounding took from it, and the sum of squared
 # deviations.
@@ -115,19 +117,19 @@ class Accumulator:
         chosen: np.ndarray | None = None,
         on_host: bool = False,
     ) -> None:
-        self._chosen = slice(None) if chosen is None else chosen
+        self._chosen: slice | np.ndarray = slice(None) if chosen is None else chosen
         self.points = points
         self.channels = channels
         self.network = network
         # What is put together here of few points has columns for these alone.
-        self._is_short = on_host and chosen is not None
-        self._stored = slice(None) if self._is_short else self._chosen
-        columns = len(chosen) if self._is_short else points.active
+        self._few = chosen if on_host else None
+        self._stored = self._chosen if self._few is None else slice(None)
+        columns = points.active if self._few is None else len(self._few)
         self.samples = np.zeros(columns)
         self._samples_of_all = 0
         self._lanes = device.lanes
         self._group_points = max(1, GROUP_SIZE // device.lanes)
-        defines = {
+        defines: dict[str, int | str] = {
             "CHANNELS": channels,
             "WITH_NETWORK": int(network is not None),
             **STATE.defines(),
@@ -155,9 +157,9 @@ class Accumulator:
         """
         previous = self._samples_of_all if previous is None else previous
         weighted = batch.weight is not None
-        own = {"WEIGHTED": int(weighted), "ENTRIES": f"{batch.entries}u"}
+        own: dict[str, int | str] = {"WEIGHTED": int(weighted), "ENTRIES": f"{batch.entries}u"}
         program = build(self._device, self._files, {**self._defines, **own})
-        inputs = {"weight": batch.weight} if weighted else {}
+        inputs: Arguments = {"weight": batch.weight} if weighted else {}
         if self.network is not None:
             inputs |= {"u": batch.u, "v": batch.v, **self.network.arrays}
         program.kernel("accumulate")(
@@ -208,19 +210,26 @@ class Accumulator:
     def take(self, points: range, state: np.ndarray, samples: np.ndarray) -> None:
         """Put in another accumulator's `state`, of those of `points` that are chosen; on the host."""
         own = self._columns(points)
-        self._state.values[:, own] = state
+        self._values[:, own] = state
         self.samples[own] = samples
 
     def part(self, points: range) -> tuple[np.ndarray, np.ndarray]:
         """What `take` takes."""
         own = self._columns(points)
-        return self._state.values[:, own].copy(), self.samples[own]
+        return self._values[:, own].copy(), self.samples[own]
+
+    @property
+    def _values(self) -> np.ndarray:
+        """The sums of an accumulator on the host, (rows, columns)."""
+        if isinstance(self._state, HostArray):
+            raise TypeError("this accumulator adds samples on the device")
+        return self._state.values
 
     def _columns(self, points: range) -> slice:
         """Where those of `points` that are chosen are kept, on the host."""
-        if not self._is_short:
+        if self._few is None:
             return slice(points.start, points.stop)
-        return slice(*np.searchsorted(self._chosen, (points.start, points.stop)))
+        return slice(*np.searchsorted(self._few, (points.start, points.stop)))
 
     def means(self) -> np.ndarray:
         """Means so far, float64 (quantities, channels, points)."""
@@ -230,8 +239,8 @@ class Accumulator:
 
     def result(self, quantity: int = 0, only_chosen: bool = False) -> Estimate:
         """Means and variances of f (`quantity` 0) or of f − g (1), of all points or only the chosen."""
-        if self._is_short and not only_chosen:
-            return self.result(quantity, True).among(self._chosen, self.points.active)
+        if self._few is not None and not only_chosen:
+            return self.result(quantity, True).among(self._few, self.points.active)
         chosen = self._stored if only_chosen else slice(None)
         samples = self.samples[chosen].copy()
         rows = self.channels * STATE.size

@@ -8,12 +8,14 @@ import numpy as np
 
 from ..integrands import Integrand, IntegrandError
 from ..opencl.device import Device
-from ..opencl.memory import HostArray
+from ..opencl.kernel import Arguments
+from ..opencl.memory import HostArray, Window
 from ..opencl.program import build
 from ..points.points import SURFACE, ShadingPoints
 from ..points.sampler import Stream, sampler_defines, seed_words
 from ..scene.load import Scene
-from .samples import SAMPLES_A_PASS, Batch, Batches, ray_defines
+from ..visibility.room import Batch
+from .samples import SAMPLES_A_PASS, Batches, ray_defines
 from .warp import Warp
 
 # A callable's constant is the median of so many values at each of so many points.
@@ -40,7 +42,7 @@ class HostIntegrand(Integrand):
     def data(self, scene: Scene) -> np.ndarray:
         return np.empty(0, np.float32)
 
-    def defines(self, scene: Scene) -> dict[str, int]:
+    def defines(self, scene: Scene) -> dict[str, int | str]:
         return {"CHANNELS": self.channels}
 
 
@@ -79,11 +81,14 @@ class CallableSource(Batches):
         super().__init__(device, points, channels, SAMPLES_A_PASS)
         self.function = function
         self._seed = seed_words(seed)
-        self._defines = {
+        self._defines: dict[str, int | str] = {
             **sampler_defines(sampler),
             **ray_defines(),
         }
-        with self._slot.mapped(write=True) as slot, self._visible.mapped(write=True) as visible:
+        with (
+            self._room.slot.mapped(write=True) as slot,
+            self._room.visible.mapped(write=True) as visible,
+        ):
             slot[...], visible[...] = np.arange(len(slot), dtype=np.uint32), 1
         self.offset = np.zeros(channels)
 
@@ -109,11 +114,12 @@ class CallableSource(Batches):
         values, weight = self._values(points, samples, stream, order, density)
         stride = self._stride_of(len(samples))
         count, shape = len(points) * stride, (len(points), stride)
-        with self._value.mapped(write=True) as view:
-            planes = view.reshape(-1)[: self.channels * count].reshape(self.channels, *shape)
+        window = Window(0, count, range(self.channels), range(count))
+        with self._room.value.mapped(write=True, window=window) as view:
+            planes = view.reshape(self.channels, *shape)
             planes[..., : len(samples)] = np.moveaxis(values, -1, 0)
             planes[..., len(samples) :] = 0
-        arrays = (self._u, self._v, self._value, self._slot, self._visible)
+        arrays = (self._room.u, self._room.v, self._room.value, self._room.slot, self._room.visible)
         return Batch(points, order, len(samples), stride, *arrays, weight)
 
     def _values(
@@ -126,9 +132,11 @@ class CallableSource(Batches):
     ) -> tuple[np.ndarray, HostArray | None]:
         """f less the constant, float64 (points, samples, channels), and with a density the weights."""
         stride = self._stride_of(len(samples))
-        warp, files, defines = {}, (), {}
+        warp: Arguments = {}
+        files: tuple[str, ...] = ()
+        defines: dict[str, int | str] = {}
         if density is not None:
-            warp = {"density": density.records(order, points), "weight": self._weight}
+            warp = {"density": density.records(order, points), "weight": self._room.weight}
             files, defines = density.files, density.defines
         defines = {**self._defines, **defines, "WARPED": int(bool(warp))}
         program = build(self.device, ("common", "sampler", *files, "callable"), defines)
@@ -143,11 +151,13 @@ class CallableSource(Batches):
             **self._seed,
             order=order,
             **warp,
-            u=self._u,
-            v=self._v,
+            u=self._room.u,
+            v=self._room.v,
         )
         count, shape = len(points) * stride, (len(points), stride)
-        u, v = (array.read(count).reshape(shape)[:, : len(samples)] for array in (self._u, self._v))
+        u, v = (
+            array.read(count).reshape(shape)[:, : len(samples)] for array in (self._room.u, self._room.v)
+        )
         chosen = order.read()[points.start : points.stop]
         index = np.broadcast_to(chosen[:, None] + np.uint32(self.points.first_id), u.shape)
         values = self._evaluate(u.ravel(), v.ravel(), index.ravel())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
+from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
 from . import tuning
@@ -28,10 +30,15 @@ from .samples import LONGEST_RUN, NO_RAY, Batch, SampleSource, ray_defines
 from .share import Entries, share_defines
 from .triangles import triangle_records
 from .warp import Warp, warp_defines
-from .wave import Wave, wave_defines
+from .waves.wave import knows_counts, wave_defines
+from .waves.waves import Waves
 
 # Places of a batch at most: paths.cl finds a place's point by a product of floats, exactly below this.
 MOST_PLACES = 1 << 22
+# Waves of a batch where the host does not know how many rays are left: what these leave, work-items
+# follow to their ends, each its own. In interior a hundredth of all rays is behind them
+# (tests/test_rays.py counts them).
+WAVES = 8
 # A depth that no path reaches.
 EVERY_DEPTH = 1 << 30
 # Floats that sum what a path brings: three channels, and a place that makes them one aligned vector.
@@ -44,16 +51,21 @@ def sample_source(
     tracer: Tracer | DeviceTracer,
     points: ShadingPoints,
     integrand: Integrand,
-    *rest: Any,
+    sampler: str,
+    seed: int,
+    samples_per_point: int,
+    occluders: Occluders | None = None,
     lines: bool = False,
     slices: Slices | None = None,
     shadows_tested: bool = False,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
-    if integrand.nested:
-        arguments = (device, scene, tracer, points, integrand, *rest)
-        return PathSource(*arguments, shadows_tested=shadows_tested)
-    return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines, slices=slices)
+    common = (sampler, seed, samples_per_point, occluders)
+    if not integrand.nested:
+        return SampleSource(device, scene, tracer, points, integrand, *common, lines, slices)
+    if not isinstance(integrand, GlobalIllumination):
+        raise TypeError(f"{type(integrand).__name__}: only integrand gi can be nested")
+    return PathSource(device, scene, tracer, points, integrand, *common, shadows_tested=shadows_tested)
 
 
 class PathSource(SampleSource):
@@ -88,7 +100,7 @@ class PathSource(SampleSource):
         self._frame = HostArray.of(device, guide_frame(scene))
         few = shadows_tested and len(scene.triangles) <= visibility_tuning.MOST_CASTERS
         few = self.by_kernels = few and not scene.has_gaps
-        self._panes = scene.has_panes
+        self._waves = Waves(device, self._tracer, few, scene.has_panes)
         casters = shadow_casters(scene) if few else np.zeros(CENTRE_FLOATS, np.float32)
         self._casters = HostArray.of(device, casters)
         # What no kernel reads before there is a guide.
@@ -121,7 +133,6 @@ class PathSource(SampleSource):
         }
         self._branches = 0
         self._most_entries = max(self._capacity, self.members**2 * LONGEST_RUN)
-        self._entries: Entries | None = None
         self._no_hits = HostArray(device, 1, np.float32)
         self._choose_program()
         self._place = _zeros(device, self._capacity, np.uint32)
@@ -136,6 +147,8 @@ class PathSource(SampleSource):
 
     def learn_guide(self) -> Guide:
         """Guide bounces by what was recorded since `record_guide`; returns what `use_guide` takes."""
+        if self._recorder is None:
+            raise RuntimeError("record_guide comes first")
         guide = self._recorder.guide()
         self._recorder = None
         self.use_guide(guide)
@@ -154,7 +167,7 @@ class PathSource(SampleSource):
         guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         self._make_room(tuning.BRANCHES if guided else 1)
-        self._flags = {
+        self._flags: dict[str, int | str] = {
             "BRANCHES": f"{self._branches}u",
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
@@ -162,10 +175,21 @@ class PathSource(SampleSource):
             "ROULETTE_SCALE": f"{scale!r}f",
         }
         self._paths = self._program_of(1)
+        # What paths find is recorded on the host.
+        ahead = isinstance(self._tracer, DeviceTracer) and not knows_counts(self.device)
+        self.runs_ahead = self._waves.ahead = ahead and not recorded
 
     def _program_of(self, members: int, weighted: bool = False) -> Program:
-        sharing = share_defines(members, weighted)
+        sharing = {**share_defines(members, weighted), "FOLLOWED": 0}
         return build(self.device, self._files, {**self._defines, **self._flags, **sharing})
+
+    def _following_program(self) -> Program:
+        """What has follow_paths, which starts behind all that points share."""
+        if not isinstance(self._tracer, DeviceTracer):
+            raise TypeError("only a device's own walk through the scene follows paths")
+        defines = {**self._tracer.defines(), **share_defines(1, False), "FOLLOWED": 1}
+        files = (*self._files, "trace", "follow")
+        return build(self.device, files, {**self._defines, **self._flags, **defines})
 
     def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, if the residual's samples follow a density of this kind."""
@@ -176,7 +200,7 @@ class PathSource(SampleSource):
         """For so many paths behind the second vertex of each sample's path."""
         if branches != self._branches:
             self._branches, most = branches, max(branches * self._capacity, self._most_entries)
-            self._wave, self._next = (Wave(self.device, most, self._panes) for _ in range(2))
+            self._waves.make(most)
             self._slots = branches + 1
             sums = (max(most, self._slots * self._capacity), RADIANCE_FLOATS)
             self._radiance = HostArray(self.device, sums, np.float32)
@@ -203,33 +227,32 @@ class PathSource(SampleSource):
         """
         members = self.members if grouped else 1
         self._paths = self._program_of(members, density is not None)
-        if members > 1 and self._entries is None:
-            self._entries = Entries(
-                self.device, members, self._capacity, self._most_entries, self._slots
-            )
-        self._hits = self._entries.hits if members > 1 else self._no_hits
+        entries = self._entries if members > 1 else None
+        self._hits = self._no_hits if entries is None else entries.hits
         batch = super().draw(points, samples, stream, order, density)
         places = len(batch.points) * batch.stride
         if places > MOST_PLACES:
             raise ValueError(f"a batch of paths has {MOST_PLACES} places at most, not {places}: cut it")
-        begun, traced = time.perf_counter(), self.rays.trace_seconds
+        begun, traced = time.perf_counter(), self._rays.trace_seconds
         path_stream = stream if paths is None else paths
         self._begin(batch)
-        bounce, under_way = 1, None
-        self._trace()
-        while self._wave.rays or self._wave.shadows:
-            self._add_lit()
-            if bounce == 2 and self._recorder is not None:
-                under_way = self._under_way()
-            self._shade(batch, bounce, samples.start, path_stream)
-            self._trace()
-            bounce += 1
-        if under_way is not None:
-            self._record(*under_way)
-        if members > 1:
-            self._share(batch, density)
+        if self.runs_ahead:
+            self._run_ahead(batch, samples.start, path_stream)
+        else:
+            self._run(batch, samples.start, path_stream)
+        if entries is not None:
+            self._rays.trace_seconds += entries.gather(
+                self._paths,
+                self._waves,
+                self.points,
+                batch,
+                density,
+                casters=self._casters,
+                most=self._most,
+                radiance=self._radiance,
+            )
             self._count_seconds(begun, traced)
-            return self._entries.batch(batch, self._whole_slot, self._whole_visible)
+            return entries.batch(batch, self._whole_slot, self._whole_visible)
         self._paths.kernel("finish_paths")(
             -(-places // self.device.vector_width),
             count=places,
@@ -245,62 +268,65 @@ class PathSource(SampleSource):
             self._whole_slot, self._whole_visible, batch.weight,
         )  # fmt: skip
 
+    @functools.cached_property
+    def _entries(self) -> Entries:
+        """Memory for what points share, made when it is first needed."""
+        return Entries(self.device, self.members, self._capacity, self._most_entries, self._slots)
+
+    def _run(self, batch: Batch, first_sample: int, stream: int) -> None:
+        """A bounce of all paths after the other, until no rays are left."""
+        waves, bounce, under_way = self._waves, 1, None
+        self._trace(bounce)
+        while waves.now.rays or waves.now.shadows:
+            waves.each_lit(self._paths, "add_lit", radiance=self._radiance)
+            if bounce == 2 and self._recorder is not None:
+                under_way = self._under_way()
+            self._shade(batch, bounce, first_sample, stream)
+            bounce += 1
+            self._trace(bounce)
+        waves.end(self._paths)
+        if under_way is not None:
+            self._record(*under_way)
+
+    def _run_ahead(self, batch: Batch, first_sample: int, stream: int) -> None:
+        """The same without knowing how many rays are left."""
+        waves = self._waves
+        # Rays of the last bounce of all find nothing but lights.
+        last = min(WAVES, self._max_depth - 1)
+        for bounce in range(1, last + 1):
+            waves.trace(bounce)
+            waves.each_lit(self._paths, "add_lit", radiance=self._radiance)
+            self._shade(batch, bounce, first_sample, stream)
+        waves.trace(last + 1, hits=False)
+        waves.each_lit(self._paths, "add_lit", radiance=self._radiance)
+        if last < self._max_depth - 1:
+            common = self._common(batch, first_sample, stream)
+            waves.follow(self._following_program(), bounce=last + 1, **common)
+        waves.end(self._paths)
+
+    def _trace(self, bounce: int) -> None:
+        self._rays.trace_seconds += self._waves.trace(bounce)
+
+    def _collect(self) -> None:
+        super()._collect()
+        if self.by_kernels:
+            self._rays.on_device += self._waves.counted()
+        else:
+            self._rays.traced += self._waves.counted()
+
     def _count_seconds(self, begun: float, traced: float) -> None:
         """The seconds of a batch begun then, when rays had been `traced` for so many."""
-        self.device.queue.finish()
-        self.rays.sample_seconds += time.perf_counter() - begun - (self.rays.trace_seconds - traced)
-
-    def _share(self, batch: Batch, density: Warp | None) -> None:
-        """What the paths of each group's members found, for all of them."""
-        entries, wave = self._entries, self._wave
-        common = {
-            "first_point": batch.points.start,
-            "point_count": len(batch.points),
-            "total_points": self.points.total,
-            "stride": batch.stride,
-            "places": len(batch.points) * batch.stride,
-            "order": batch.order,
-            "surface": self.points.surface,
-            "hits": entries.hits,
-            "visible": entries.visible,
-        }
-        items = common["places"] // (self.members * self.device.vector_width)
-        wave.make_room(common["places"] * self.members)
-        self._paths.kernel("share_rays")(
-            items, **common, casters=self._casters, own_u=batch.u, plane=wave.plane, wave=wave.words
-        )
-        self._trace()
-        if wave.shadows:
-            self._paths.kernel("share_seen")(
-                wave.shadows,
-                count=wave.shadows,
-                plane=wave.plane,
-                wave=wave.words,
-                visible=entries.visible,
-            )
-        weights = {}
-        if density is not None:
-            weights = {"density": density.records(batch.order, batch.points), "own_weight": batch.weight}
-        self._paths.kernel("share_paths")(
-            items,
-            **common,
-            most=self._most,
-            radiance=self._radiance,
-            own_u=batch.u,
-            own_v=batch.v,
-            **weights,
-            u=entries.u,
-            v=entries.v,
-            weight=entries.weight,
-            value=entries.value,
-        )
+        if not self.runs_ahead:
+            self.device.queue.finish()
+        traced = self._rays.trace_seconds - traced
+        self._rays.sample_seconds += time.perf_counter() - begun - traced
 
     def _begin(self, batch: Batch) -> None:
         """The first rays."""
-        wave = self._wave
-        wave.make_room(len(batch.points) * batch.stride)
+        paths = len(batch.points) * batch.stride
+        wave = self._waves.begin(paths)
         self._paths.kernel("begin_paths")(
-            len(batch.points) * batch.stride // self.device.vector_width,
+            paths // self.device.vector_width,
             first_point=batch.points.start,
             point_count=len(batch.points),
             total_points=self.points.total,
@@ -320,7 +346,7 @@ class PathSource(SampleSource):
 
     def _under_way(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays that leave the first hits: their paths, throughputs, what the paths brought so far."""
-        path, throughput = self._wave.under_way()
+        path, throughput = self._waves.now.under_way()
         with self._radiance.mapped() as radiance:
             return path, throughput, radiance[path, : self.channels].T
 
@@ -332,64 +358,40 @@ class PathSource(SampleSource):
         # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
         arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
         known = place != NO_RAY
-        self._recorder.add(place[known], arrived[:, known], throughput[:, known])
+        if self._recorder is not None:
+            self._recorder.add(place[known], arrived[:, known], throughput[:, known])
 
-    def _trace(self) -> None:
-        """Closest hits of the rays under way, and which shadow rays reach their lights."""
-        if self.by_kernels:
-            self._wave.count()
-            self.rays.on_device += self._wave.tested
-            return
-        self.rays.trace_seconds += self._wave.trace(self._tracer)
-        self.rays.traced += self._wave.rays + self._wave.shadows
-
-    def _add_lit(self) -> None:
-        """Add what shadow rays found visible."""
-        wave = self._wave
-        if wave.shadows:
-            self._paths.kernel("add_lit")(
-                wave.shadows,
-                count=wave.shadows,
-                plane=wave.plane,
-                wave=wave.words,
-                radiance=self._radiance,
-            )
+    def _common(self, batch: Batch, first_sample: int, stream: int) -> dict[str, Any]:
+        """What all paths of a batch have in common, as paths.cl has it."""
+        return {
+            "max_depth": self._max_depth,
+            "first_point": batch.points.start,
+            "first_id": self.points.first_id,
+            "first_sample": first_sample,
+            "stride": batch.stride,
+            "inverse_stride": 1.0 / batch.stride,
+            "stream": stream,
+            **self._seed,
+            "places": len(batch.points) * batch.stride,
+            "order": batch.order,
+            "triangles": self._triangles,
+            "textures": self._textures.records,
+            "texels": self._textures.texels,
+            "lights": self._data,
+            "casters": self._casters,
+            "guide_frame": self._frame,
+            "guide": self._guide_densities,
+            "guide_known": self._guide_known,
+            "guide_place": self._place,
+            "hits": self._hits,
+            "radiance": self._radiance,
+        }
 
     def _shade(self, batch: Batch, bounce: int, first_sample: int, stream: int) -> None:
         """From hits to shadow rays and the next rays, which are then the wave."""
-        wave, following = self._wave, self._next
-        following.make_room(wave.rays * (self._branches if bounce == 1 else 1))
-        self._paths.kernel("shade_hits")(
-            -(-wave.rays // self.device.vector_width),
-            count=wave.rays,
-            max_depth=self._max_depth,
-            bounce=bounce,
-            first_point=batch.points.start,
-            first_id=self.points.first_id,
-            first_sample=first_sample,
-            stride=batch.stride,
-            inverse_stride=1.0 / batch.stride,
-            stream=stream,
-            **self._seed,
-            places=len(batch.points) * batch.stride,
-            order=batch.order,
-            triangles=self._triangles,
-            textures=self._textures.records,
-            texels=self._textures.texels,
-            lights=self._data,
-            casters=self._casters,
-            guide_frame=self._frame,
-            guide=self._guide_densities,
-            guide_known=self._guide_known,
-            guide_place=self._place,
-            hits=self._hits,
-            plane=wave.plane,
-            wave=wave.words,
-            radiance=self._radiance,
-            next_plane=following.plane,
-            next_wave=following.words,
-        )
-        self._wave, self._next = following, wave
+        branches = self._branches if bounce == 1 else 1
+        common = self._common(batch, first_sample, stream)
+        self._waves.shade(self._paths, branches, bounce=bounce, **common)
 
 
 def _zeros(device: Device, shape: tuple[int, ...] | int, dtype: type) -> HostArray:

@@ -15,6 +15,7 @@ from ..points.points import ShadingPoints
 from ..settings.settings import Settings
 from ..visibility.rays import RayCount
 from ..visibility.slices import SliceChoice
+from .paths import PathSource
 from .samples import Batches
 
 
@@ -140,6 +141,13 @@ class Problem:
         """The rays of all samples so far."""
         own = self.source.rays
         return own if self.apart is None else own + self.apart.source.rays
+
+    @property
+    def paths(self) -> PathSource:
+        """`source`, where it draws paths, which can be guided."""
+        if not isinstance(self.source, PathSource):
+            raise TypeError(f"a {type(self.source).__name__} has no paths to guide")
+        return self.source
 
     def factor(self, demodulated: bool) -> HostArray | None:
         """The factor of a demodulated network's output: `means`; None for others."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..integrands import Integrand
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.groups import Groups
@@ -19,6 +20,7 @@ from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.lines import LINE_FILES, line_defines
 from ..visibility.rays import RayCount, shadow_rays
+from ..visibility.room import Asked, Batch, Room, sample_bytes
 from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
@@ -29,7 +31,8 @@ NO_RAY = 0xFFFFFFFF
 SEEN = 0xFFFFFFFE
 # Samples a point on average drawn at a time; Ctrl-C, targets and progress act between such passes.
 SAMPLES_A_PASS = 128
-# Samples held at a time: the scratch memory of sampling is fixed whatever the image's size.
+# Samples held at a time, or fewer where the device has less memory: the scratch memory of sampling is
+# fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
 LONGEST_RUN = 1024
@@ -42,40 +45,6 @@ def ray_defines() -> dict[str, str]:
     return {"NO_RAY": f"{NO_RAY}u", "SEEN": f"{SEEN}u"}
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Samples of consecutive shading points, as samples.cl lays them out.
-
-    Attributes
-    ----------
-    points : range
-        Where in `order` the batch's shading points are.
-    order : HostArray
-        uint32, indices of shading points.
-    samples : int
-        Samples of each point; `stride` elements are reserved for each.
-    u, v, value, slot, visible : HostArray
-        Coordinates, values without shadow, and where in `visible` (uint8) a sample's ray was answered.
-    weight : HostArray, optional
-        One over the density that the samples were drawn with; None: uniform.
-    entries : int
-        Weighted values that each sample is the mean of, `stride` elements apart; more than one where
-        points share paths.
-    """
-
-    points: range
-    order: HostArray
-    samples: int
-    stride: int
-    u: HostArray
-    v: HostArray
-    value: HostArray
-    slot: HostArray
-    visible: HostArray
-    weight: HostArray | None = None
-    entries: int = 1
-
-
 class Batches:
     """Memory for batches of samples, and how work is cut to fit it.
 
@@ -85,6 +54,8 @@ class Batches:
     channels : int
     samples_per_point : int
         Samples a point that `batches` leaves room for.
+    nested : bool
+        Whether there are paths behind the samples.
 
     Attributes
     ----------
@@ -104,7 +75,12 @@ class Batches:
     runs_ahead = False
 
     def __init__(
-        self, device: Device, points: ShadingPoints, channels: int, samples_per_point: int
+        self,
+        device: Device,
+        points: ShadingPoints,
+        channels: int,
+        samples_per_point: int,
+        nested: bool = False,
     ) -> None:
         self.device = device
         self.points = points
@@ -112,14 +88,10 @@ class Batches:
         self._rays = RayCount()
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
-        self.points_per_batch = max(1, min(points.active, SAMPLES_PER_BATCH // self.stride))
+        samples = device.memory.fitting(SAMPLES_PER_BATCH, sample_bytes(channels, nested))
+        self.points_per_batch = max(1, min(points.active, samples // self.stride))
         capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN * self.members)
-        self._u = HostArray(device, capacity, np.float32)
-        self._v = HostArray(device, capacity, np.float32)
-        self._value = HostArray(device, (self.channels, capacity), np.float32)
-        self._weight = HostArray(device, capacity, np.float32)
-        self._slot = HostArray(device, capacity, np.uint32)
-        self._visible = HostArray(device, capacity, np.uint8)
+        self._room = Room(device, channels, capacity)
 
     @property
     def rays(self) -> RayCount:
@@ -145,6 +117,21 @@ class Batches:
         """
         self.points, self.rays = points, RayCount()
         self._every_point = HostArray.of(self.device, np.arange(points.active, dtype=np.uint32))
+
+    def unshadowed_means(self) -> HostArray:
+        """Mean over the square of the integrand without shadows, float32 (channels, points.active)."""
+        raise NotImplementedError
+
+    def draw(
+        self,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+    ) -> Batch:
+        """Samples of points order[i], i in `points`, by `density`; valid until the next call."""
+        raise NotImplementedError
 
     def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, where samples follow a density of this kind; none by default.
@@ -177,6 +164,19 @@ class Batches:
             for start, stop, length in ((points.start, edge, together), (edge, points.stop, step)):
                 found += [(range(a, min(a + length, stop)), part) for a in range(start, stop, length)]
         return found
+
+    def drawn(
+        self,
+        parts: list[tuple[range, range]],
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+        grouped: int = 0,
+    ) -> Iterator[Batch]:
+        """Batches of all `parts` in turn, as `draw` makes one; each is valid until the next is taken."""
+        for points, samples in parts:
+            shared = {"grouped": True} if points.start < grouped else {}
+            yield self.draw(points, samples, stream, order, density, **shared)
 
     def _stride_of(self, samples: int) -> int:
         """`samples` rounded up to whole vectors."""
@@ -218,14 +218,14 @@ class SampleSource(Batches):
         lines: bool = False,
         slices: Slices | None = None,
     ) -> None:
-        super().__init__(device, points, integrand.channels, samples_per_point)
+        super().__init__(device, points, integrand.channels, samples_per_point, integrand.nested)
         self.sliced = slices is not None
         self._tracer = tracer
         # Rays to lights pass panes; for others these are in the way.
         sees_through = scene.has_panes and integrand.promises("to_lights")
         self._seed = seed_words(seed)
         self._data = HostArray.of(device, integrand.data(scene))
-        defines = {
+        defines: dict[str, int | str] = {
             **surface_defines(),
             **sampler_defines(sampler),
             **integrand.defines(scene),
@@ -238,7 +238,7 @@ class SampleSource(Batches):
             "WARPED": 0,
         }
         shaft: tuple[str, ...] = ()
-        self._occluders: dict[str, object] = {}
+        self._occluders: Arguments = {}
         self._lines = lines
         if occluders is not None:
             shaft, defines = ("shaft",), {**defines, **occluders.defines()}
@@ -247,6 +247,8 @@ class SampleSource(Batches):
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
             self._occluders = slices.arguments
+        if device.vector_width == 1:
+            defines["BLOCKS_A_ITEM"] = f"{visibility_tuning.LANE_BLOCKS}u"
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)
@@ -254,12 +256,19 @@ class SampleSource(Batches):
         self._look_at_points(occluders)
         # Built when first asked for: most renders draw uniformly only, or by density only.
         self._warped_files, self._warped_defines = files[:-1], {**defines, "WARPED": 1}
-        self._shadow_rays = shadow_rays(device, tracer, self._capacity, sees_through)
-        # Of paths the host has to know how many go on.
-        self.runs_ahead = self._shadow_rays.runs_ahead and not integrand.nested
+        rays = shadow_rays(device, tracer, self._capacity, sees_through)
+        self._rooms = [(self._room, rays)]
+        self.runs_ahead = rays.runs_ahead and not integrand.nested
+        # A device of its own memory computes a batch while the host answers the rays of another. Of
+        # paths the host has to know how many go on.
+        if rays.streams and not device.memory.shared and not integrand.nested:
+            second = Room(device, self.channels, self._capacity)
+            self._rooms.append((second, shadow_rays(device, tracer, self._capacity, sees_through)))
+            self.runs_ahead = True
 
     def _collect(self) -> None:
-        self._shadow_rays.collect(self._rays)
+        for _, rays in self._rooms:
+            rays.collect(self._rays)
 
     def move_to(self, points: ShadingPoints, occluders: Occluders | None = None) -> None:
         super().move_to(points)
@@ -310,17 +319,51 @@ class SampleSource(Batches):
         Without an `order` these are the points themselves. With a `density` samples are drawn by it,
         else uniformly. The batch is valid until the next call.
         """
+        return self._answered(self._asked(0, points, samples, stream, order, density))
+
+    def drawn(
+        self,
+        parts: list[tuple[range, range]],
+        stream: int,
+        order: HostArray | None = None,
+        density: Warp | None = None,
+        grouped: int = 0,
+    ) -> Iterator[Batch]:
+        if len(self._rooms) == 1:
+            yield from super().drawn(parts, stream, order, density, grouped)
+            return
+        before = None
+        for number, part in enumerate(parts):
+            asked = self._asked(number % 2, *part, stream, order, density)
+            if before is not None:
+                yield self._answered(before)
+            before = asked
+        if before is not None:
+            yield self._answered(before)
+
+    def _asked(
+        self,
+        number: int,
+        points: range,
+        samples: range,
+        stream: int,
+        order: HostArray | None,
+        density: Warp | None,
+    ) -> Asked:
+        """Have the device compute a batch in one of the rooms."""
         begun = time.perf_counter()
+        room, rays = self._rooms[number]
         order = self._every_point if order is None else order
         count = len(samples)
         stride = self._stride_of(count)
-        self._shadow_rays.begin()
-        program, warp = self._program, {}
+        rays.begin()
+        program = self._program
+        warp: Arguments = {}
         if density is not None:
             files = (*self._warped_files, *density.files, "samples")
             program = build(self.device, files, self._warped_defines | density.defines)
-            warp = {"density": density.records(order, points), "weight": self._weight}
-        program.kernel("draw_samples")(
+            warp = {"density": density.records(order, points), "weight": room.weight}
+        drawn = program.kernel("draw_samples")(
             len(points) * -(-stride // self._item_samples),
             first_point=points.start,
             point_count=len(points),
@@ -336,26 +379,22 @@ class SampleSource(Batches):
             integrand_data=self._data,
             **warp,
             **self._occluders,
-            u=self._u,
-            v=self._v,
-            value=self._value,
-            slot=self._slot,
-            **self._shadow_rays.arguments,
+            u=room.u,
+            v=room.v,
+            value=room.value,
+            slot=room.slot,
+            **rays.arguments,
         )
-        traced = self._rays.trace_seconds
-        let_through = self._shadow_rays.answer(len(points) * count, self._visible, self._rays)
-        if let_through is not None:
-            self._tint(let_through, len(points) * stride)
+        self._rays.sample_seconds += time.perf_counter() - begun
+        waits = drawn if len(self._rooms) > 1 else None
+        return Asked(room, rays, waits, points, order, count, stride, warp.get("weight"))
+
+    def _answered(self, asked: Asked) -> Batch:
+        """The batch with its rays answered."""
+        begun, traced = time.perf_counter(), self._rays.trace_seconds
+        asked.answer(self._rays)
         traced = self._rays.trace_seconds - traced
         self._rays.sample_seconds += time.perf_counter() - begun - traced
-        arrays = (self._u, self._v, self._value, self._slot, self._visible)
-        return Batch(points, order, count, stride, *arrays, warp.get("weight"))
-
-    def _tint(self, let_through: np.ndarray, elements: int) -> None:
-        """Multiply values by what panes let through of each ray, float32 (rays, 3)."""
-        with self._slot.mapped(count=elements) as slot:
-            traced = np.flatnonzero(slot < len(let_through))
-            factors = let_through[slot[traced], : self.channels]
-        with self._value.mapped(update=True) as value:
-            planes = value.reshape(-1)[: self.channels * elements].reshape(self.channels, elements)
-            planes[:, traced] *= factors.T
+        room = asked.room
+        arrays = (room.u, room.v, room.value, room.slot, room.visible)
+        return Batch(asked.points, asked.order, asked.samples, asked.stride, *arrays, asked.weight)

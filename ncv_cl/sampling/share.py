@@ -7,9 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
-from .samples import Batch
+from ..opencl.program import Program
+from ..points.points import ShadingPoints
+from ..visibility.room import Batch
+from .warp import Warp
+from .waves.waves import Waves
 
 # What is kept of the place that a path reaches first: how far rays leave it off the surface, 0 where it
 # is not shared, and the place itself; and what the path's throughput began with.
@@ -41,13 +46,70 @@ class Entries:
     """
 
     def __init__(self, device: Device, members: int, paths: int, entries: int, slots: int) -> None:
-        self._members = members
+        self._device, self._members = device, members
         self.hits = HostArray(device, (SHARED.size + 3 * slots) * paths, np.float32)
         # Places that are not shared are read, and not used.
         self.hits.fill(0.0)
         self.u, self.v, self.weight = (HostArray(device, entries, np.float32) for _ in range(3))
         self.value = HostArray(device, 3 * entries, np.float32)
         self.visible = HostArray(device, entries, np.uint8)
+
+    def gather(
+        self,
+        program: Program,
+        waves: Waves,
+        points: ShadingPoints,
+        own: Batch,
+        density: Warp | None,
+        casters: HostArray,
+        most: float,
+        radiance: HostArray,
+    ) -> float:
+        """What paths of a group's members found on their `own`, for all members; embree's seconds.
+
+        Parameters
+        ----------
+        density : Warp, optional
+            What the samples follow.
+        casters, most, radiance
+            Those of share.cl.
+        """
+        places = len(own.points) * own.stride
+        common: Arguments = {
+            "first_point": own.points.start,
+            "point_count": len(own.points),
+            "total_points": points.total,
+            "stride": own.stride,
+            "places": places,
+            "order": own.order,
+            "surface": points.surface,
+            "hits": self.hits,
+            "visible": self.visible,
+            "own_u": own.u,
+        }
+        samples = places // (self._members * self._device.vector_width)
+        wave = waves.begin(0, places * self._members)
+        arguments: Arguments = {"casters": casters, "plane": wave.plane, "wave": wave.words}
+        program.kernel("share_rays")(samples, **common, **arguments)
+        seconds = waves.trace("shared")
+        waves.each_lit(program, "share_seen", visible=self.visible)
+        waves.end(program)
+        weights: Arguments = {}
+        if density is not None:
+            weights = {"density": density.records(own.order, own.points), "own_weight": own.weight}
+        program.kernel("share_paths")(
+            samples,
+            **common,
+            most=most,
+            radiance=radiance,
+            own_v=own.v,
+            **weights,
+            u=self.u,
+            v=self.v,
+            weight=self.weight,
+            value=self.value,
+        )
+        return seconds
 
     def batch(self, own: Batch, slot: HostArray, visible: HostArray) -> Batch:
         """The batch of these, in place of what members drew on their `own`."""

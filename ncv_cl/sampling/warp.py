@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -59,8 +58,8 @@ class TableWarp(Warp):
     """
 
     table: HostArray
-    files: ClassVar[tuple[str, ...]] = ("warp",)
-    defines: ClassVar[dict[str, int | str]] = warp_defines()
+    files: tuple[str, ...] = field(default=("warp",), init=False)
+    defines: dict[str, int | str] = field(default_factory=warp_defines, init=False)
 
     def records(self, order: HostArray, points: range) -> HostArray:
         return self.table

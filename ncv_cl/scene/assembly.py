@@ -99,7 +99,8 @@ class Assembly:
     def add(self, table: Table, key: str, mesh: Mesh, material: int, advice: str = "") -> None:
         """Append a mesh that `table` describes, maybe with others; `advice`: see `_Part`."""
         surface = self.materials[material]
-        if not surface.textures:
+        maps = surface.maps
+        if maps is None or not maps.textures:
             mesh = replace(mesh, uv=None)
         elif mesh.uv is None:
             raise table.error(
@@ -108,7 +109,7 @@ class Assembly:
                 "quads, boxes and spheres have some, and meshes that were exported with them",
             )
         else:
-            mesh = replace(mesh, uv=surface.maps.placed(mesh.uv))
+            mesh = replace(mesh, uv=maps.placed(mesh.uv))
         self._parts.append(_Part(table, key, mesh, material, -1, advice))
 
     def add_light(self, table: Table, light: Light, material: int) -> None:

@@ -68,7 +68,9 @@ def flat_mesh(vertices: Vectors, triangles: object) -> Mesh:
     return Mesh(vertices, np.zeros_like(vertices), np.asarray(triangles, dtype=np.int64))
 
 
-def quad_mesh(corner: Vectors, edge1: Vectors, edge2: Vectors) -> Mesh:
+def quad_mesh(
+    corner: NDArray[np.floating], edge1: NDArray[np.floating], edge2: NDArray[np.floating]
+) -> Mesh:
     """A parallelogram as two triangles whose winding gives the normal edge1 x edge2."""
     vertices = np.stack([corner, corner + edge1, corner + edge1 + edge2, corner + edge2])
     return replace(flat_mesh(vertices, [[0, 1, 2], [0, 2, 3]]), uv=UNIT_SQUARE)
@@ -154,7 +156,8 @@ def axis_angle(axis: Vectors, degrees: float) -> Vectors:
 
 def euler_angles(degrees: Vectors) -> Vectors:
     """Rotation (4, 4) about the fixed x, then y, then z axis, by three angles in degrees."""
-    return np.asarray(euler_matrix(*np.radians(degrees), axes="sxyz"))
+    about_x, about_y, about_z = np.radians(degrees)
+    return np.asarray(euler_matrix(about_x, about_y, about_z, axes="sxyz"))
 
 
 def is_invertible(transform: Vectors) -> bool:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
 from .geometry import SMALLEST_ROUGHNESS
 from .model import USUAL_IOR, Material
 from .table import Table
@@ -11,7 +16,15 @@ GLASS_KEYS = ("transmission", "ior", "thin")
 LEAST_IOR, LARGEST_IOR = 0.2, 5.0
 
 
-def read_glass(table: Table) -> dict[str, object]:
+class Glass(TypedDict, total=False):
+    """What `Material` takes of glass, all of it or nothing."""
+
+    transmission: NDArray[np.float32]
+    ior: float
+    thin: bool
+
+
+def read_glass(table: Table) -> Glass:
     """The keys of a material that is glass, as `Material` takes them; empty if it is none.
 
     Raises

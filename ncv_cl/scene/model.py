@@ -10,7 +10,7 @@ import hashlib
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from .lights.kinds import DiscLight, SphereLight, SpotLight
 from .sky.environment import Environment
 from .table import SceneError
 from .textures.texture import Maps, Texture
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 # The index of refraction of glass where none is given.
 USUAL_IOR = 1.5
@@ -79,7 +82,8 @@ class Material:
     name: str = field(default="", kw_only=True)
     albedo: NDArray[np.float32]
     reflectance: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
-    roughness: float | None = None
+    # None stands for the usual one, which is then put in its place.
+    roughness: float = None  # type: ignore[assignment]
     emission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
     maps: Maps | None = None
     transmission: NDArray[np.float32] = field(default_factory=lambda: np.zeros(3, np.float32))
@@ -115,14 +119,14 @@ class Material:
     @property
     def facing(self) -> NDArray[np.float32]:
         """Reflectance at normal incidence, that of glass by Fresnel's equations."""
-        if not self.is_glass:
+        if self.ior is None or not self.is_glass:
             return self.reflectance
         return np.full(3, ((self.ior - 1.0) / (self.ior + 1.0)) ** 2, np.float32)
 
     @property
     def signed_ior(self) -> float:
         """What kernels know glass by: its index of refraction, negative of panes; 0 of others."""
-        if not self.is_glass:
+        if self.ior is None or not self.is_glass:
             return 0.0
         return -self.ior if self.thin else self.ior
 
@@ -178,9 +182,9 @@ class QuadLight:
         Whether it emits from the back as well.
     """
 
-    corner: NDArray[np.float32]
-    edge1: NDArray[np.float32]
-    edge2: NDArray[np.float32]
+    corner: NDArray[np.floating]
+    edge1: NDArray[np.floating]
+    edge2: NDArray[np.floating]
     radiance: NDArray[np.float32]
     two_sided: bool = False
 
@@ -269,6 +273,13 @@ class Scene:
     vertex_colours: NDArray[np.float32] | None = None
     environment: Environment | None = None
 
+    @property
+    def coordinates(self) -> NDArray[np.float32]:
+        """`vertex_uv` of a scene that has textures, which is then never None."""
+        if self.vertex_uv is None:
+            raise SceneError(f"{self.name}: there are no texture coordinates, and no texture")
+        return self.vertex_uv
+
     @cached_property
     def has_holes(self) -> bool:
         """Whether rays pass surfaces where the opacity of a texture is too small."""
@@ -317,13 +328,15 @@ class Scene:
     def digest(self) -> str:
         """SHA-256, in hex, of everything that affects the image; names and paths do not."""
         digest = hashlib.sha256()
-        around = () if self.environment is None else (self.environment, *self.environment.suns)
-        for part in (self.camera, *self.materials, *self.lights, self, *around):
+        parts: list[DataclassInstance] = [self.camera, *self.materials, *self.lights, self]
+        if self.environment is not None:
+            parts += [self.environment, *self.environment.suns]
+        for part in parts:
             _add_to(digest, part)
         return digest.hexdigest()
 
 
-def _add_to(digest: Any, part: object) -> None:
+def _add_to(digest: Any, part: DataclassInstance) -> None:
     """What a part of a scene holds that affects the image; what is None leaves no trace."""
     digest.update(type(part).__name__.encode())
     opaque = isinstance(part, Material) and not part.is_glass

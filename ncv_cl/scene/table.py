@@ -222,9 +222,9 @@ class Table:
         if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise self.error(place, f"expected a number, got {_describe(value)}")
         # A whole number may be too large for any test but this.
-        if not -_LARGEST <= value <= _LARGEST:
+        if value < -_LARGEST or not value <= _LARGEST:
             raise self.error(place, f"{str(value)[:40]} is not a finite single-precision number")
-        if not low <= value <= high:
+        if value < low or not value <= high:
             limits = f"from {low:g} to {high:g}" if high < math.inf else f"at least {low:g}"
             raise self.error(place, f"{value} is out of range; it must be {limits}")
         return float(value)

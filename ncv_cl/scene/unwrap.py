@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .uv_mesh import BakeError, UVMesh, checked_triangles
+from .uv_mesh import BakeError, Triangles, UVMesh, checked_triangles
 
 # What the process does; crashes and endless loops of it do not matter to this one.
 _SCRIPT = """
@@ -25,12 +25,12 @@ numpy.savez(sys.argv[2], vertex=vertex, triangles=triangles, uv=uv)
 """
 
 
-def unwrap(mesh: object, size: int = 512, padding: int = 4, time_limit: float = 60.0) -> UVMesh:
+def unwrap(mesh: Triangles, size: int = 512, padding: int = 4, time_limit: float = 60.0) -> UVMesh:
     """The same mesh with UVs that do not overlap; vertices are doubled where charts are cut.
 
     Parameters
     ----------
-    mesh : object
+    mesh
         With `vertices`, `triangles` and, if there are some, `normals`.
     size, padding : int
         Texels of a side of the map that it is for, about, and between charts.

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .geometry import Mesh, normalised
 from .meshes import read_meshes
@@ -35,6 +37,23 @@ class UVMesh:
     triangles: np.ndarray
     uv: np.ndarray
     normals: np.ndarray | None = None
+
+
+class Triangles(Protocol):
+    """What `checked_triangles` asks of a mesh; it may have `normals` as well."""
+
+    @property
+    def vertices(self) -> ArrayLike: ...
+
+    @property
+    def triangles(self) -> ArrayLike: ...
+
+
+class TrianglesOnMap(Triangles, Protocol):
+    """What `checked_mesh` asks of one, as `UVMesh` is."""
+
+    @property
+    def uv(self) -> ArrayLike: ...
 
 
 def read_uv_mesh(path: str | Path) -> UVMesh:
@@ -70,7 +89,7 @@ def _with_own_normals(mesh: Mesh) -> Mesh:
     return replace(apart, normals=normals)
 
 
-def checked_triangles(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def checked_triangles(mesh: Triangles) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Vertices, triangles and normals, if there are some, of a mesh.
 
     Raises
@@ -91,7 +110,7 @@ def checked_triangles(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray 
     return vertices, triangles.astype(np.int64), normals
 
 
-def checked_mesh(mesh: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+def checked_mesh(mesh: TrianglesOnMap) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
     """Vertices, triangles, UVs and normals of a `UVMesh` or of what has its attributes.
 
     Raises

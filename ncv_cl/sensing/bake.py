@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..host.version import package_version
 from ..integrands import Integrand
-from ..output.image import Image
+from ..output.image import Image, Metadata
 from ..output.report import finite
 from ..points.arrays import PointArrays, surfaces_at
 from ..points.hidden import apart, inside
@@ -18,7 +19,7 @@ from ..points.texels import Texels, find_texels
 from ..points.trace import Tracer
 from ..rendering.render import integrand_of
 from ..scene.load import Scene, load_scene
-from ..scene.uv_mesh import BakeError
+from ..scene.uv_mesh import BakeError, TrianglesOnMap
 from ..settings.options import MOST_CELLS, checked_whole
 from .point_estimate import estimate_points
 
@@ -29,7 +30,7 @@ _AROUND = [(row, column) for row in range(3) for column in range(3) if (row, col
 
 def bake(
     scene: Scene | str | Path,
-    mesh: object,
+    mesh: TrianglesOnMap,
     size: int | tuple[int, int],
     *,
     integrand: str | Integrand = "ao",
@@ -101,7 +102,7 @@ def bake(
     pixels = _sums(values, texel[is_kept], number.shape) / factor + np.zeros(3)
     spread = _sums(variance, texel[is_kept], number.shape) / factor**2 + np.zeros(3)
     planes = _dilated(np.concatenate([pixels, spread], axis=2), number > 0, padding)
-    metadata = {"version": package_version(), "scene": scene.name, "integrand": chosen.name}
+    metadata: Metadata = {"version": package_version(), "scene": scene.name, "integrand": chosen.name}
     stats |= counts | {
         "texels": int(np.count_nonzero(number)),
         "mean_standard_error": float(np.sqrt(spread[number > 0]).mean()),
@@ -185,8 +186,8 @@ def _estimates(
     found: Texels,
     is_kept: np.ndarray,
     grid: tuple[int, int],
-    options: dict[str, object],
-) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
+    options: dict[str, Any],
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Values and variances of the places that count, and statistics."""
     normals = found.normals[is_kept].astype(np.float32)
     given = PointArrays(
@@ -214,11 +215,11 @@ def _dilated(planes: np.ndarray, is_known: np.ndarray, rounds: int) -> np.ndarra
         known = np.pad(is_known, 1).astype(float)
         sums = np.pad(planes * is_known[..., None], ((1, 1), (1, 1), (0, 0)))
         around = [(slice(row, row + height), slice(column, column + width)) for row, column in _AROUND]
-        number = sum(known[place] for place in around)
+        number = sum((known[place] for place in around), np.zeros(is_known.shape))
         fresh = ~is_known & (number > 0)
         if not fresh.any():
             break
-        total = sum(sums[place] for place in around)
+        total = sum((sums[place] for place in around), np.zeros(planes.shape))
         planes[fresh] = total[fresh] / number[fresh][:, None]
         is_known |= fresh
     return planes

@@ -13,14 +13,14 @@ from ..points.hidden import inside
 from ..points.trace import Tracer
 from ..rendering.render import integrand_of
 from ..scene.load import Scene, load_scene
-from ..scene.uv_mesh import BakeError, checked_triangles
+from ..scene.uv_mesh import BakeError, Triangles, checked_triangles
 from .bake import ALL_BACKS, check_on_scene
 from .point_estimate import Asked, PointValues, estimate_at
 
 
 def bake_vertices(
     scene: Scene | str | Path,
-    mesh: object,
+    mesh: Triangles,
     *,
     integrand: str | Integrand = "ao",
     **options: object,

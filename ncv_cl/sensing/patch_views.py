@@ -39,19 +39,18 @@ def measured(
     executor: Executor | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each scramble's factors, float64 (patches, patches, SCRAMBLES), and `ViewFactors.how`."""
-    places = [
-        patch_points(device, side, points, range(k * SCRAMBLES, (k + 1) * SCRAMBLES), seed)
-        if wanted[k].any()
-        else None
+    places = {
+        k: patch_points(device, side, points, range(k * SCRAMBLES, (k + 1) * SCRAMBLES), seed)
         for k, side in enumerate(sides)
-    ]
+        if wanted[k].any()
+    }
     means = np.full((*wanted.shape, SCRAMBLES), np.nan)
     how = np.where(wanted, RECIPROCAL, EXACT)
     # Lines do not pass the holes of textures.
     along = np.array([_has_lines(side) and not scene.has_holes for side in sides], bool)
     for target in np.flatnonzero(along & wanted.any(axis=0)):
         sources = np.flatnonzero(wanted[:, target])
-        chosen = [places[k] for k in sources]
+        chosen = [places[int(k)] for k in sources]
         means[sources, target] = _along_lines(
             device, scene, sides[target], chosen, lines, seed, executor
         )
@@ -60,7 +59,7 @@ def measured(
         rest = np.flatnonzero(~along & wanted[source])
         if len(rest):
             own, targets = sides[source], [sides[k] for k in rest]
-            means[source, rest] = _by_rays(device, scene, own, places[source], targets, lines, seed)
+            means[source, rest] = _by_rays(device, scene, own, places[int(source)], targets, lines, seed)
             how[source, rest] = RAYS
     return means, how
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class PointValues:
 
     values: np.ndarray
     variance: np.ndarray
-    stats: dict[str, object]
+    stats: dict[str, Any]
 
     @property
     def standard_error(self) -> np.ndarray:
@@ -91,7 +92,7 @@ class Asked:
         return (first // self.sides, *rest)
 
 
-def estimate_at(scene: Scene | str | Path, asked: Asked, options: Mapping[str, object]) -> PointValues:
+def estimate_at(scene: Scene | str | Path, asked: Asked, options: Mapping[str, Any]) -> PointValues:
     """The values that are asked for; options as `estimate_points` takes them."""
     started = time.perf_counter()
     if not isinstance(scene, Scene):
@@ -128,9 +129,9 @@ def estimate_points(
     scene: Scene,
     integrand: Integrand,
     given: PointArrays,
-    options: Mapping[str, object],
+    options: Mapping[str, Any],
     weight: float,
-) -> tuple[np.ndarray, np.ndarray, dict[str, object]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Estimates at points, their variances, float64 (points, channels), and statistics.
 
     Parameters
@@ -186,8 +187,8 @@ def _arrays(scene: Scene, asked: Asked) -> tuple[PointArrays, np.ndarray, int]:
         rows = np.repeat(rows, copies, axis=0)
         cells, size = curve_cells(len(rows))
     size = (max(size[0], 1), max(size[1], 1))
-    arrays = (np.ascontiguousarray(part) for part in np.split(rows, 3, axis=1))
-    return PointArrays(*arrays, cells, size, asked.is_sensor), number, copies
+    position, normal, outgoing = (np.ascontiguousarray(part) for part in np.split(rows, 3, axis=1))
+    return PointArrays(position, normal, outgoing, cells, size, asked.is_sensor), number, copies
 
 
 def _off_surface(scene: Scene, asked: Asked, off: np.ndarray) -> PointError:
@@ -201,7 +202,7 @@ def _off_surface(scene: Scene, asked: Asked, off: np.ndarray) -> PointError:
     )
 
 
-def _with_target(settings: Settings, wanted: object, share: float) -> Settings:
+def _with_target(settings: Settings, wanted: float | None, share: float) -> Settings:
     """The settings with the mean square error that stands for a root mean square error of the values.
 
     `share` is the one over the square of the other: it is a mean over the grid's cells.
@@ -237,7 +238,7 @@ def _values(
     return mean, variance
 
 
-def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> dict[str, object]:
+def _stats(settings: Settings, problem: Problem, outcome: Outcome, run: Run) -> dict[str, Any]:
     """Counts as of a render, and what is particular to points."""
     points = problem.points
     found = counts(settings, problem, outcome, run.watch, 0.0)

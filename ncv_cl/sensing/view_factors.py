@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class ViewFactors:
     variance: np.ndarray
     areas: np.ndarray
     how: np.ndarray
-    stats: dict[str, object]
+    stats: dict[str, Any]
 
     @property
     def standard_error(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from .options import choices_of
 
 def descriptions(group: type[Any]) -> dict[str, str]:
     """What a group's docstring says of each option, one line each."""
-    _, _, attributes = inspect.getdoc(group).partition("Attributes\n----------\n")
+    _, _, attributes = (inspect.getdoc(group) or "").partition("Attributes\n----------\n")
     found: dict[str, str] = {}
     name = ""
     for line in attributes.splitlines():
@@ -32,28 +32,26 @@ def descriptions(group: type[Any]) -> dict[str, str]:
 
 def add_arguments(parser: argparse.ArgumentParser, group: type[Any]) -> None:
     """An argument for each option that a text can give."""
-    own = parser.add_argument_group(inspect.getdoc(group).splitlines()[0].rstrip("."))
+    title = (inspect.getdoc(group) or group.__name__).splitlines()[0].rstrip(".")
+    own = parser.add_argument_group(title)
     hints, texts = typing.get_type_hints(group), descriptions(group)
     for option in dataclasses.fields(group):
         hint = hints[option.name]
-        flag, about = (
-            f"--{option.name.replace('_', '-')}",
-            {"help": texts[option.name].replace("%", "%%")},
-        )
+        flag, about = f"--{option.name.replace('_', '-')}", texts[option.name].replace("%", "%%")
         if hint is bool and option.default:
-            own.add_argument(f"--no-{flag[2:]}", dest=option.name, action="store_false", **about)
+            own.add_argument(f"--no-{flag[2:]}", dest=option.name, action="store_false", help=about)
         elif hint is bool:
-            own.add_argument(flag, action="store_true", **about)
+            own.add_argument(flag, action="store_true", help=about)
         elif _reader(hint) is not None:
             choices = choices_of(hint)
             plain = bool(choices) and float not in typing.get_args(hint)
             form: dict[str, Any] = {"type": _reader(hint), "metavar": _metavar(hint)}
             if plain:
                 form = {"choices": choices}
-            own.add_argument(flag, default=option.default, **form, **about)
+            own.add_argument(flag, default=option.default, **form, help=about)
 
 
-def read_arguments(options: argparse.Namespace, group: type[Any]) -> dict[str, object]:
+def read_arguments(options: argparse.Namespace, group: type[Any]) -> dict[str, Any]:
     """The options of a group that `add_arguments` has put into a command line."""
     names = [option.name for option in dataclasses.fields(group)]
     return {name: getattr(options, name) for name in names if hasattr(options, name)}

@@ -59,10 +59,10 @@ class Sampling:
         256 rays, with less error. Under "lines" `spp` is the number of slices.
     rays : {"auto", "embree", "device"}
         Who traces rays of samples and paths. "embree": the host. "device": kernels, through boxes of
-        boxes of triangles; the host then waits for the device once a pass only, in global illumination
-        once a bounce. Pixels differ where a ray grazes an edge. "auto": the device if it is a GPU, but
-        not under `visibility` "embree" and not where textures make holes, which the host looks up.
-        Camera rays are always embree's.
+        boxes of triangles; the host then waits for the device once a pass only (of a CPU, in global
+        illumination, once a bounce, which costs nothing there). Pixels differ where a ray grazes an
+        edge. "auto": the device if it is a GPU, but not under `visibility` "embree" and not where
+        textures make holes, which the host looks up. Camera rays are always embree's.
     split_direct : {"auto", "on", "off"}
         Global illumination: estimate direct light apart from the light of paths ("on"), by samples of
         its own, or both by the same samples ("off"). "auto": apart where it can be sampled along lines.
@@ -310,16 +310,27 @@ def check_choices(group: Any) -> None:
 
 def checked_whole(name: str, value: object, most: int) -> int:
     """A whole number from 1 to `most`, whatever type of number it was; raises for anything else."""
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not 1 <= value <= most or int(value) != value:
-        raise ValueError(
-            f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}"
-        )
-    return int(value)
+    # Not 1 <= value: Real declares the other order alone.
+    if (
+        isinstance(value, numbers.Real)
+        and not isinstance(value, bool)
+        and not value < 1
+        and value <= most
+    ):
+        # Every Real converts, which its hints leave out.
+        whole = int(value)  # type: ignore[call-overload]
+        if whole == value:
+            return whole
+    raise ValueError(f"{name} must be a whole number of at least 1 and at most {most}, got {value!r}")
 
 
 def check_real(name: str, value: object, most: float, other: str = "") -> None:
     """Raise for anything but a positive finite number up to `most`."""
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not is_number or not 0 < value <= most or value == math.inf:
+    if (
+        not isinstance(value, numbers.Real)
+        or isinstance(value, bool)
+        or value <= 0
+        or not value <= most
+        or value == math.inf
+    ):
         raise ValueError(f"{name} must be a positive number{other}, got {value!r}")

@@ -130,8 +130,8 @@ def _best_axes(rows: np.ndarray, first: int, bounds: np.ndarray) -> np.ndarray:
     for axis in range(3):
         order = np.argsort(centres[axis], axis=1) + size * np.arange(count)[:, None]
         cut = own.take(order.T, axis=0)
-        parts = cut[:share], cut[share:]
-        costs.append(sum(len(part) * _surface(part) for part in parts))
+        first_part, rest = cut[:share], cut[share:]
+        costs.append(len(first_part) * _surface(first_part) + len(rest) * _surface(rest))
     return np.argmin(costs, axis=0)
 
 
@@ -150,7 +150,7 @@ def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
     lower, upper : ndarray
         float32 (triangles, 3), boxes of the triangles in their order.
     """
-    levels = []
+    levels: list[np.ndarray] = []
     while not levels or len(levels[-1]) > 1:
         starts = np.arange(0, len(lower), CHILDREN)
         lower, upper = np.minimum.reduceat(lower, starts), np.maximum.reduceat(upper, starts)
@@ -159,7 +159,7 @@ def box_levels(lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
     return levels
 
 
-def padded(rows: np.ndarray, value: float) -> np.ndarray:
+def padded(rows: np.ndarray, value: float | np.floating) -> np.ndarray:
     """`rows`, and more of `value` up to a whole number of nodes."""
     missing = -len(rows) % CHILDREN
     return np.concatenate([rows, np.full((missing, rows.shape[1]), value, rows.dtype)])

@@ -6,8 +6,10 @@ import time
 from dataclasses import dataclass, fields
 
 import numpy as np
+import pyopencl as cl
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.trace import Tracer
@@ -54,53 +56,73 @@ class RayCount:
         self.skipped += samples - traced - on_device
 
 
-class HostRays:
-    """Memory for a batch's rays, as samples.cl appends them, which the host answers.
+class ShadowRays:
+    """Memory for a batch's rays, as samples.cl appends them.
 
     Parameters
     ----------
-    device, tracer
+    device
     capacity : int
         Most rays.
-    sees_through : bool
-        Whether rays pass panes, which dim them.
 
     Attributes
     ----------
     arguments : dict
         Those of draw_samples, by name.
+    streams : bool
+        Whether the host reads the rays.
+    runs_ahead : bool
+        Whether it does not wait for them.
     """
 
     runs_ahead = False
+    streams = True
 
-    def __init__(
-        self, device: Device, tracer: Tracer, capacity: int, sees_through: bool = False
-    ) -> None:
-        self._device, self._tracer, self._sees_through = device, tracer, sees_through
-        self.arguments = {
-            "origins": HostArray(device, (capacity, 3), np.float32),
-            "directions": HostArray(device, (capacity, 3), np.float32),
-            "distances": HostArray(device, capacity, np.float32),
-            "ray_count": HostArray(device, COUNTS, np.uint32),
+    def __init__(self, device: Device, capacity: int) -> None:
+        self.arguments: Arguments = {
+            "origins": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "directions": HostArray(device, (capacity, 3), np.float32, self.streams),
+            "distances": HostArray(device, capacity, np.float32, self.streams),
+            "ray_count": HostArray(device, COUNTS, np.uint32, self.streams),
         }
 
     def begin(self) -> None:
         """Before a batch."""
         self.arguments["ray_count"].fill(0)
 
-    def answer(self, samples: int, visible: HostArray, count: RayCount) -> np.ndarray | None:
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> np.ndarray | None:
         """Answer the rays of a batch of `samples` into `visible` (uint8), and count them.
 
+        With `drawn`, the event of the kernel that made them, what comes after it is not waited for.
         Returns what panes let through of each, float32 (rays, 3), where rays pass them.
         """
-        counted = self.arguments["ray_count"].read().tolist()
+        raise NotImplementedError
+
+    def collect(self, count: RayCount) -> None:
+        """Count what `answer` has left for later."""
+
+
+class HostRays(ShadowRays):
+    """Rays that the host answers; `sees_through`: they pass panes, which dim them."""
+
+    def __init__(self, device: Device, tracer: Tracer, capacity: int, sees_through: bool) -> None:
+        super().__init__(device, capacity)
+        self._tracer, self._sees_through = tracer, sees_through
+
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> np.ndarray | None:
+        with self.arguments["ray_count"].mapped(after=drawn) as counts:
+            counted = counts.tolist()
         rays = counted[0]
         started = time.perf_counter()
         with (
-            self.arguments["origins"].mapped(count=rays) as origins,
-            self.arguments["directions"].mapped(count=rays) as directions,
-            self.arguments["distances"].mapped(count=rays) as distances,
-            visible.mapped(write=True, count=rays) as answers,
+            self.arguments["origins"].mapped(count=rays, after=drawn) as origins,
+            self.arguments["directions"].mapped(count=rays, after=drawn) as directions,
+            self.arguments["distances"].mapped(count=rays, after=drawn) as distances,
+            visible.mapped(write=True, count=rays, after=drawn) as answers,
         ):
             if self._sees_through:
                 let_through = np.ones((rays, 3), np.float32)
@@ -112,24 +134,25 @@ class HostRays:
         count.add(counted, samples)
         return let_through
 
-    def collect(self, count: RayCount) -> None:
-        """Count what `answer` has left for later."""
 
-
-class DeviceRays(HostRays):
-    """The same answered by a kernel: how many there are stays on the device until somebody asks."""
+class DeviceRays(ShadowRays):
+    """Rays that a kernel answers: how many there are stays on the device until somebody asks."""
 
     runs_ahead = True
+    streams = False
 
     def __init__(self, device: Device, tracer: DeviceTracer, capacity: int) -> None:
-        super().__init__(device, tracer, capacity)
+        super().__init__(device, capacity)
+        self._tracer = tracer
         files = ("common", "trace", "shadow_rays")
         self._program = build(device, files, tracer.defines())
         self._totals = HostArray(device, COUNTS, np.uint64)
         self._totals.fill(0)
         self._samples = 0
 
-    def answer(self, samples: int, visible: HostArray, count: RayCount) -> None:
+    def answer(
+        self, samples: int, visible: HostArray, count: RayCount, drawn: cl.Event | None = None
+    ) -> None:
         find, add = (self._program.kernel(name) for name in ("find_visible", "add_counts"))
         # There is one ray a sample at most; work-items beyond the last ray end at once.
         find(samples, **self._tracer.arguments, **self.arguments, visible=visible)
@@ -145,8 +168,8 @@ class DeviceRays(HostRays):
 
 def shadow_rays(
     device: Device, tracer: Tracer | DeviceTracer, capacity: int, sees_through: bool
-) -> HostRays:
-    """Memory for at most `capacity` rays of a batch, whoever traces them; see `HostRays`."""
+) -> ShadowRays:
+    """Memory for at most `capacity` rays of a batch, whoever traces them."""
     if isinstance(tracer, DeviceTracer):
         return DeviceRays(device, tracer, capacity)
     return HostRays(device, tracer, capacity, sees_through)

@@ -8,6 +8,7 @@ from ..integrands import Integrand
 from ..integrands.light_sources import light_sources
 from ..integrands.lights import LIGHT_FILES
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
@@ -80,12 +81,12 @@ class Occluders:
         words = COMMON_LISTS + points.active * (min(most, len(scene.triangles)) + 1)
         self.lists = HostArray(device, min(words, MOST_LIST_WORDS), np.uint32)
         self.starts = HostArray(device, points.active, np.uint32)
-        self.arguments = {
+        self.arguments: Arguments = {
             "starts": self.starts,
             "occluders": self.lists,
             "triangles": self.hierarchy.triangles,
         }
-        self.walked = {
+        self.walked: Arguments = {
             "levels": self.hierarchy.levels,
             "boxes": self.hierarchy.boxes,
             "tolerance": TOLERANCE * float(np.abs(scene.bounds).max()),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from ..points.points import ShadingPoints, surface_defines
@@ -113,7 +114,7 @@ class Slices:
         hierarchy = hierarchy or Hierarchy(device, scene)
         self._device = device
         self._levels = hierarchy.levels.shape[0]
-        self.arguments = {
+        self.arguments: Arguments = {
             "unit": 1 / hierarchy.extent,
             "levels": hierarchy.levels,
             "boxes": hierarchy.boxes,

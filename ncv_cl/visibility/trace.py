@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.memory import HostArray
 from .hierarchy import Hierarchy
 
@@ -27,7 +28,7 @@ class DeviceTracer:
     def __init__(self, device: Device, hierarchy: Hierarchy) -> None:
         self._hierarchy = hierarchy
         self.numbers = HostArray.of(device, hierarchy.numbers)
-        self.arguments = {
+        self.arguments: Arguments = {
             "extent": hierarchy.extent,
             "levels": hierarchy.levels,
             "boxes": hierarchy.boxes,

@@ -6,7 +6,7 @@ import functools
 import itertools
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ...estimation.control_variate import ControlVariate
 from ...estimation.image_estimate import ImageEstimate
-from ...estimation.passes import Passes, Target
+from ...estimation.passes import Edges, Passes, Target
 from ...host.clock import Run
 from ...machines.crew import Crew, Job
 from ...machines.values import Values
@@ -66,7 +66,8 @@ class Carrier:
         self.crew = Crew(executor, self.values, machine.task_limit, run.stop)
         self.run, self._machine = run, machine
         self._problem, self._scene, self._given = problem, scene, given
-        self._settings: Settings | None = None
+        # Those of the plan, which `take` brings.
+        self._settings: Settings
         self._spec = ""
         self._keys: tuple[str, ...] = ()
         self._alpha: np.ndarray | None = None
@@ -87,7 +88,7 @@ class Carrier:
         """
         problem, put = self._problem, self.values.put
         device, source = problem.device, problem.source
-        keys = {"scene": None, "learned": None, "function": None}
+        keys: dict[str, str | None] = {"scene": None, "learned": None, "function": None}
         if self._scene is not None:
             # What is computed from the scene on the way is not sent.
             keys["scene"] = put(replace(self._scene), "the scene")
@@ -137,7 +138,7 @@ class Carrier:
         self,
         image_estimate: ImageEstimate,
         targets: list[Target],
-        edges: Sequence[int],
+        edges: Edges,
         apart: bool,
         step: tuple[int, int],
     ) -> Iterator[tuple[range, TileResult]]:
@@ -157,7 +158,10 @@ class Carrier:
         counts = np.zeros(self._problem.points.active, np.int64)
         counts[allocation.chosen] = allocation.counts
         share = (edges[step[1]] - edges[step[0]]) / edges[-1]
-        tiles = self._tiles(image_estimate.ahead, float(counts.mean()) * share, grouped)
+        ahead = image_estimate.ahead
+        if ahead is None:
+            raise RuntimeError("no step of passes has begun")
+        tiles = self._tiles(ahead, float(counts.mean()) * share, grouped)
 
         def jobs() -> Iterator[Job]:
             for tile in tiles:
@@ -209,9 +213,8 @@ class Carrier:
     def _own(self, tile: range, counts: np.ndarray, alpha: np.ndarray | None) -> TileData:
         """What belongs to a task's points alone."""
         own, points = slice(tile.start, tile.stop), self._problem.points
-        few: int | np.ndarray = counts[own]
-        if (few == few[0]).all():
-            few = int(few[0])
+        each = counts[own]
+        few = int(each[0]) if (each == each[0]).all() else each
         steps = vectors = None
         if self._has_cells:
             steps = np.diff(points.cell[own], prepend=np.uint32(0))
@@ -226,6 +229,8 @@ class Carrier:
     @functools.cached_property
     def _rows(self) -> np.ndarray:
         """Which of the points given each shading point is, int64 (points.total,)."""
+        if self._given is None:
+            raise RuntimeError("the points are a camera's")
         order = np.argsort(self._given.cells, kind="stable")
         return order[np.searchsorted(self._given.cells, self._problem.points.cell, sorter=order)]
 

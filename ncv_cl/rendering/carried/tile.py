@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ...points.arrays import PointArrays, place_points
 from ...points.points import ShadingPoints, find_points
 from ...points.trace import Tracer
 from ...sampling.accumulate import Accumulator
-from ...sampling.callable import CallableSource, function_points
+from ...sampling.callable import CallableSource, Function, function_points
 from ...sampling.guide import Guide
 from ...sampling.problem import Problem
 from ...scene.load import Scene
@@ -89,37 +90,53 @@ class Bench:
         on_device = traces_on_device(self.device, scene, self.settings)
         needed = on_device or decided.most_occluders
         self.hierarchy = Hierarchy(self.device, scene) if needed else None
-        self.rays = DeviceTracer(self.device, self.hierarchy) if on_device else self.tracer
+        self.rays: Tracer | DeviceTracer = self.tracer
+        if on_device and self.hierarchy is not None:
+            self.rays = DeviceTracer(self.device, self.hierarchy)
         self.slices = Slices(self.device, scene) if decided.sliced else None
 
     @contextmanager
-    def problem(self, points: ShadingPoints, function: object, apart: bool) -> Iterator[Problem]:
+    def problem(
+        self, points: ShadingPoints, function: Function | None, apart: bool
+    ) -> Iterator[Problem]:
         """The problem of some points, or of their direct light apart; tasks take turns with memory."""
         occluders = self._occluders(points) if apart == self.spec.decisions.split else None
         with self._lock:
             made = self._idle.pop() if self._idle else None
         if made is None:
             made = self._assembled(points, function)
-        source = made.apart.source if apart else made.source
+        source = made.apart.source if apart and made.apart is not None else made.source
         source.move_to(points, occluders)
         yield replace(made, points=points, source=source, apart=None, glow=None)
         with self._lock:
             self._idle.append(made)
 
-    def _assembled(self, points: ShadingPoints, function: object) -> Problem:
+    def _assembled(self, points: ShadingPoints, function: Function | None) -> Problem:
         """A problem with what it needs of memory."""
         spec, settings, decided = self.spec, self.settings, self.spec.decisions
         if self.scene is None:
+            if function is None:
+                raise RuntimeError("a task without a scene needs a function")
             channels, sampler = settings.integrand.channels, settings.sampling.sampler
             source = CallableSource(self.device, points, function, channels, sampler, spec.seed)
-            source.offset = spec.offset
+            if spec.offset is not None:
+                source.offset = spec.offset
             return Problem(self.device, points, source, np.zeros((2, 3)), ("position",), is_image=False)
-        common = (self.device, self.scene, self.rays, settings, points, self.scene.world_bounds)
-        occluders = self._occluders(points)
-        return assemble(*common, occluders, self.slices, decided.lines, decided.split)
+        return assemble(
+            self.device,
+            self.scene,
+            self.rays,
+            settings,
+            points,
+            self.scene.world_bounds,
+            self._occluders(points),
+            self.slices,
+            decided.lines,
+            decided.split,
+        )
 
     def _occluders(self, points: ShadingPoints) -> Occluders | None:
-        if self.spec.decisions.most_occluders is None:
+        if self.scene is None or self.spec.decisions.most_occluders is None:
             return None
         room, kept = self.spec.decisions.most_occluders
         integrand = self.settings.integrand
@@ -127,16 +144,22 @@ class Bench:
 
     def points(self, begin: int, own: TileData) -> ShadingPoints:
         """A task's shading points, the first of which is `begin` in the whole image."""
-        if self.scene is None:
+        if self.scene is None and own.vectors is not None:
             return replace(function_points(self.device, own.vectors[0]), first_id=begin)
+        if self.scene is None:
+            raise RuntimeError("a task without a scene needs positions")
         if own.vectors is not None:
-            count = len(own.vectors[0])
+            position, normal, outgoing = own.vectors
+            count = len(position)
             cells = np.arange(count, dtype=np.uint32)
-            given = PointArrays(*own.vectors, cells, (count, 1), self.spec.sensors)
+            is_sensor = bool(self.spec.sensors)
+            given = PointArrays(position, normal, outgoing, cells, (count, 1), is_sensor)
             active = self.settings.integrand.emitters_active
             return replace(
                 place_points(self.device, self.scene, self.tracer, given, active), first_id=begin
             )
+        if own.steps is None:
+            raise RuntimeError("a task of a camera's points needs their sub-pixels")
         settings = self.settings
         cells = np.cumsum(own.steps, dtype=np.uint32)
         size, supersample = settings.size, settings.sampling.supersample
@@ -154,11 +177,11 @@ _LOCK = threading.Lock()
 MOST_BENCHES = 4
 
 
-def bench_of(values: Mapping[str, object], key: str) -> Bench:
+def bench_of(values: Mapping[str, Any], key: str) -> Bench:
     """This process's bench for a problem."""
     with _LOCK:
         if key not in BENCHES:
-            spec = values[key]
+            spec: ProblemSpec = values[key]
             scene = None if spec.scene is None else values[spec.scene]
             made = Bench(spec, scene, OWN_DEVICES.get(key))
             while len(BENCHES) >= MOST_BENCHES:
@@ -197,12 +220,15 @@ def device_like(spec: ProblemSpec) -> Device:
     return device
 
 
-def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
+def draw_tile(values: Mapping[str, Any], request: Request) -> TileResult:
     """Draw the passes of a task."""
-    bench, estimate = bench_of(values, request.spec), values[request.estimate]
+    bench = bench_of(values, request.spec)
+    estimate: EstimateSpec = values[request.estimate]
     spec, watch = bench.spec, Stopwatch()
-    learned = values[spec.learned] if spec.learned is not None else Learned(None, None, None)
-    function = values[spec.function] if spec.function is not None else None
+    learned = Learned(None, None, None)
+    if spec.learned is not None:
+        learned = values[spec.learned]
+    function: Function | None = values[spec.function] if spec.function is not None else None
     own = TileData.unpack(request.own)
     with watch("points"):
         points = bench.points(request.begin, own)
@@ -210,10 +236,10 @@ def draw_tile(values: Mapping[str, object], request: Request) -> TileResult:
         folded = density = warp = None
         if not estimate.apart:
             if learned.guide is not None:
-                problem.source.use_guide(learned.guide)
+                problem.paths.use_guide(learned.guide)
             with watch("fold"):
                 folded, density = _control_variate(problem, bench.settings, learned, own.alpha)
-        if density is not None:
+        if density is not None and folded is not None:
             warp = warp_of(bench.device, bench.settings.residual_density, folded, density)
         settings = bench.settings if estimate.grouped else None
         targets = _targets(problem, estimate, request, own, folded, settings)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import inspect
 import pickle
 import shutil
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +53,7 @@ class TravellingIntegrand:
         what = f"integrand {kind.__name__}"
         if not kind.__module__.startswith(FILE_MODULE):
             return cls(pickled(integrand, what))
-        source = Path(sys.modules[kind.__module__].__file__)
+        source = Path(inspect.getfile(kind))
         own = [file for file in integrand.files if isinstance(file, (str, Path))]
         texts = [source, *(source.parent / file for file in own if Path(file).suffix == ".cl")]
         outside = [str(path) for path in texts if source.parent not in path.parents]
@@ -75,8 +75,12 @@ class TravellingIntegrand:
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         for name, text in self.files:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(folder / name, lambda file, text=text: file.write(text.encode()))
+            _write(folder / name, text.encode())
         kind = getattr(module_of(folder / self.files[0][0]), self.name)
         made = kind.__new__(kind)
         vars(made).update(pickle.loads(self.state))
         return made
+
+
+def _write(path: Path, content: bytes) -> None:
+    write_whole(path, lambda file: file.write(content))

@@ -215,7 +215,7 @@ class Materials:
         """Reflectance of a metal at normal incidence, (3,) or ()."""
         name = bsdf.values.get("material", "none" if "eta" not in bsdf.values else "")
         if name == "none":
-            return np.float64(1.0)
+            return np.array(1.0)
         if name:
             eta, k = (self._textures.metal(name, part) for part in ("eta", "k"))
         else:

@@ -151,7 +151,7 @@ class Shapes:
         mesh = sphere_mesh(np.zeros(3), 1.0, _SUBDIVISIONS, textured=True)
         # Ours has its poles on y and begins at z; Mitsuba's on z and begins at x.
         vertices = centre + radius * mesh.vertices[:, [2, 0, 1]]
-        uv = mesh.uv - [0.5, 0.0]
+        uv = None if mesh.uv is None else mesh.uv - [0.5, 0.0]
         self._mesh(vertices, mesh.triangles, matrix, material, mesh.normals[:, [2, 0, 1]], uv)
 
     def _disk(self, shape: Plugin, matrix: np.ndarray, bsdf: Any, emission: Any) -> None:

@@ -131,7 +131,7 @@ def _included(path: Path, images: ImageFiles, notes: Notes, depth: int) -> Eleme
         raise ValueError(f"cannot be read as XML: {error}") from error
     _check_size(root)
     for parent in [one for one in root.iter() if one.tag not in ("transform", "animation")]:
-        children = []
+        children: list[Element] = []
         for child in parent:
             if child.tag == "include":
                 children += _of_include(child, path, images, notes, depth)

@@ -69,11 +69,12 @@ def read_serialized(path: Path, index: int) -> SerializedMesh:
         stream.array(kind, 3 * n_vertices)
     triangles = stream.array("<u4", 3 * n_triangles).reshape(-1, 3).astype(np.int64)
     check_triangles(vertices, triangles, path.name)
-    vertices, normals, uv = (
-        None if rows is None else np.nan_to_num(rows.astype(np.float64), posinf=0.0, neginf=0.0)
-        for rows in (vertices, normals, uv)
-    )
-    return SerializedMesh(vertices, triangles, normals, uv, bool(flags & _FLAT))
+    normals, uv = (None if rows is None else _finite(rows) for rows in (normals, uv))
+    return SerializedMesh(_finite(vertices), triangles, normals, uv, bool(flags & _FLAT))
+
+
+def _finite(rows: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(rows.astype(np.float64), posinf=0.0, neginf=0.0)
 
 
 def _start(data: bytes, index: int, name: str) -> int:

@@ -59,7 +59,7 @@ def _key(key: str) -> str:
     return key if _BARE.fullmatch(key) else quoted(key)
 
 
-def _value(value: object) -> str:
+def _value(value: Any) -> str:
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -53,7 +53,7 @@ def write_scene(
         for number, entry in enumerate(arrays, 1):
             path = target.with_name(f"{target.stem}_{number}.ply")
             mesh = {key: entry.pop(key) for key in _ARRAYS if key in entry}
-            write_whole(path, lambda file, mesh=mesh: file.write(ply_bytes(**mesh)))
+            _write(path, ply_bytes(**mesh))
             entry["file"] = path.name
             written.append(path)
     # What Mitsuba's own files say is in the tables.
@@ -63,8 +63,12 @@ def write_scene(
     for file, copy in copies.items():
         _copy(file, copy)
     text = f"# {' '.join(origin.split())}\n\n{toml_text(tables)}"
-    write_whole(target, lambda file: file.write(text.encode()))
+    _write(target, text.encode())
     return [target, *written, *copies.values()]
+
+
+def _write(path: Path, content: bytes) -> None:
+    write_whole(path, lambda file: file.write(content))
 
 
 def _copies(folder: Path, read: set[Path], target: Path) -> dict[Path, Path]:

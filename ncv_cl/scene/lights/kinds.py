@@ -26,8 +26,8 @@ class DiscLight:
         Whether it emits from the back as well.
     """
 
-    centre: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    centre: NDArray[np.floating]
+    normal: NDArray[np.floating]
     radius: float
     radiance: NDArray[np.float32]
     two_sided: bool = False
@@ -57,7 +57,7 @@ class SphereLight:
         Of the icosahedron that rays meet, which has the sphere's area; shadows are those of the sphere.
     """
 
-    centre: NDArray[np.float32]
+    centre: NDArray[np.floating]
     radius: float
     radiance: NDArray[np.float32]
     subdivisions: int = SPHERE_SUBDIVISIONS
@@ -111,12 +111,13 @@ class SpotLight:
         As `PointLight` has it.
     """
 
-    position: NDArray[np.float32]
+    position: NDArray[np.floating]
     intensity: NDArray[np.float32]
     direction: NDArray[np.float64] = field(kw_only=True)
     outer_angle: float = field(kw_only=True)
-    inner_angle: float | None = field(default=None, kw_only=True)
-    radius: float | None = None
+    # None leaves the choice to the scene, whose lights have both.
+    inner_angle: float = field(default=None, kw_only=True)  # type: ignore[assignment]
+    radius: float = None  # type: ignore[assignment]
 
     @property
     def area(self) -> float:

@@ -39,7 +39,7 @@ def _scale(subdivisions: int) -> float:
     return float(np.sqrt(4 * np.pi / trimesh.creation.icosphere(subdivisions=subdivisions).area))
 
 
-def disc_axes(normal: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def disc_axes(normal: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Two unit vectors that complete a normal of any length to a right-handed frame."""
     z = np.asarray(normal, np.float64) / np.linalg.norm(normal)
     x = np.cross(np.eye(3)[np.abs(z).argmin()], z)

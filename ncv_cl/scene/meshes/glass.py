@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from ..geometry import SMALLEST_ROUGHNESS
 from ..glass import LARGEST_IOR, LEAST_IOR
@@ -101,7 +102,7 @@ def gltf_glass(
     material: FileMaterial,
     base: Colour,
     metallic: float,
-    extensions: dict[str, dict[str, object]],
+    extensions: dict[str, dict[str, Any]],
     notes: Notes,
 ) -> FileMaterial | None:
     """The glass of KHR_materials_transmission, None where the material is opaque.

@@ -10,6 +10,7 @@ import numpy as np
 
 from .common import (
     Asked,
+    Colour,
     FileGeometry,
     FileMaterial,
     Indices,
@@ -177,7 +178,8 @@ class _Scene:
     ) -> tuple[FileMaterial | None, Vectors | None]:
         """The primitive's material, and the colours of vertices that multiply it."""
         index = primitive.get("material")
-        tint, colours = (1.0, 1.0, 1.0), None
+        tint: Colour | None = (1.0, 1.0, 1.0)
+        colours: Vectors | None = None
         if "COLOR_0" in primitive["attributes"] and len(triangles):
             stored = self._container.array(primitive["attributes"]["COLOR_0"], decode=False)
             scale = np.iinfo(stored.dtype).max if stored.dtype.kind in "iu" else 1.0

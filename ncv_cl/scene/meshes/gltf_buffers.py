@@ -40,7 +40,7 @@ class Container:
     def __init__(self, path: Path, reach: Reach) -> None:
         self._path = path
         self._reach = reach
-        self._buffers: dict[int, bytes] = {}
+        self._buffers: dict[object, bytes] = {}
         data = path.read_bytes()
         text: bytes | None = data
         self._binary: bytes | None = None
@@ -86,8 +86,8 @@ class Container:
         """
         accessor = self.entry("accessors", index)
         what = f"accessors[{index}]"
-        width = _WIDTHS.get(accessor.get("type"))
-        kind = _COMPONENTS.get(accessor.get("componentType"))
+        width = _WIDTHS.get(accessor.get("type", ""))
+        kind = _COMPONENTS.get(accessor.get("componentType", 0))
         if width is None or kind is None:
             raise ValueError(f"{what} has an unknown type or componentType")
         count = accessor["count"]

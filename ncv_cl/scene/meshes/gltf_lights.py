@@ -81,7 +81,7 @@ def _number(table: dict[str, Any], key: str, default: float, what: str) -> float
     return _finite(table.get(key, default), what)
 
 
-def _finite(value: object, what: str) -> float:
+def _finite(value: Any, what: str) -> float:
     number = float(value)
     if not math.isfinite(number):
         raise ValueError(f"the light {what} has a number that is not finite")

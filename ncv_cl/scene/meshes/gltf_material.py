@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..textures.texture import AS_IT_IS, Maps, Texture
+from ..textures.texture import AS_IT_IS, Maps, Placement, Texture
 from .common import (
     DIELECTRIC_REFLECTANCE,
     FALLBACK_ALBEDO,
@@ -80,7 +80,7 @@ def _set_of(info: dict[str, Any]) -> int:
     return int(transform.get("texCoord", info.get("texCoord", 0)))
 
 
-def _placement(info: dict[str, Any]) -> tuple[float, ...]:
+def _placement(info: dict[str, Any]) -> Placement:
     """The placement of a texture by KHR_texture_transform, for v upwards from an image's lower side.
 
     The file's v goes downwards: (u, v) -> offset + R scale (u, v), with R counter-clockwise as seen.
@@ -284,7 +284,7 @@ class _Reader:
         """An image, how it goes on beyond its sides, and whether its texels are rectangles."""
         texture = self._container.entry("textures", info.get("index"))
         sampler = self._container.entry("samplers", texture["sampler"]) if "sampler" in texture else {}
-        wrap_u, wrap_v = (_WRAPS.get(sampler.get(key), "repeat") for key in ("wrapS", "wrapT"))
+        wrap_u, wrap_v = (_WRAPS.get(sampler.get(key, 0), "repeat") for key in ("wrapS", "wrapT"))
         nearest = sampler.get("magFilter") == _NEAREST
         sources = [texture.get("source")]
         sources += [e.get("source") for e in texture.get("extensions", {}).values()]

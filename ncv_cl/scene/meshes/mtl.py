@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
@@ -185,6 +186,12 @@ class MaterialReader:
     def _number(self, key: str, default: float) -> float:
         values = self._values(key) if key in self._statements else []
         return values[0] if values else default
+
+    @overload
+    def _colour(self, key: str, default: float) -> Colour: ...
+
+    @overload
+    def _colour(self, key: str, default: float | None) -> Colour | None: ...
 
     def _colour(self, key: str, default: float | None) -> Colour | None:
         values = self._values(key) if key in self._statements else []

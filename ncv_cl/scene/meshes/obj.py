@@ -130,7 +130,7 @@ def _read_materials(
     path: Path, statements: Statements, used: list[str], notes: Notes, images: ImageFiles
 ) -> dict[str, FileMaterial | None]:
     """The materials that faces use, by name; None where the file gives none."""
-    library = {}
+    library: dict[str, tuple[dict[str, str], Path]] = {}
     for line in statements.libraries:
         for file in _library_files(path.parent, line, notes, images.reach):
             for name, keys in read_library(file, notes).items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,13 +231,13 @@ def _parsed(text: str, dtype: type, count: int) -> NDArray | None:
         # number behind all others is not reached.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
-            values = np.fromstring(f"{text} 0", dtype, sep=" ")
+            values: NDArray = np.fromstring(f"{text} 0", dtype, sep=" ")
         except ValueError:
             return None
     return values[:-1] if len(values) == count + 1 else None
 
 
-def _raise_unreadable(rows: list[str], lines: list[int], key: str, parse: type) -> None:
+def _raise_unreadable(rows: list[str], lines: list[int], key: str, parse: type) -> NoReturn:
     """Raise `ValueError` for the first word that is no number."""
     for row, line in zip(rows, lines, strict=True):
         for corner in row.split():

@@ -169,14 +169,11 @@ def _coloured(geometry: FileGeometry, name: str, data: PlyData, face: Indices) -
             # Every triangle gets three vertices of its own.
             colours = np.repeat(of_face[face], 3, axis=0)
             corners = geometry.triangles.reshape(-1)
-            rows = {
-                key: None if value is None else value[corners]
-                for key, value in (("normals", geometry.normals), ("uv", geometry.uv))
-            }
-            triangles = np.arange(len(corners)).reshape(-1, 3)
-            geometry = replace(
-                geometry, vertices=geometry.vertices[corners], triangles=triangles, **rows
+            vertices, triangles = geometry.vertices[corners], np.arange(len(corners)).reshape(-1, 3)
+            normals, uv = (
+                None if rows is None else rows[corners] for rows in (geometry.normals, geometry.uv)
             )
+            geometry = replace(geometry, vertices=vertices, triangles=triangles, normals=normals, uv=uv)
     if colours is None:
         return geometry
     albedo, varying = constant_or_varying(colours, geometry.triangles)

@@ -141,9 +141,10 @@ def _placed(
     nodes: dict[bytes, list[int]] = {}
     meshes: list[FileMesh] = []
     for geometry in geometries:
-        if geometry.material not in materials:
-            materials[geometry.material] = _usable(geometry.material, notes)
-        material = materials[geometry.material]
+        own = geometry.material
+        if own is not None and own not in materials:
+            materials[own] = _usable(own, notes)
+        material = materials[own]
         if material is not None and material.maps is not None and geometry.uv is None:
             material = without_textures(material, notes)
         whole = transform @ geometry.transform
@@ -192,16 +193,23 @@ def _fill_in_normals(meshes: list[Mesh]) -> None:
 
 def _usable(material: FileMaterial, notes: Notes) -> FileMaterial:
     """A material within the renderer's limits; notes what had to be changed."""
-    names = ("albedo", "reflectance", "transmission")
-    colours = {name: getattr(material, name) for name in names}
-    clamped = {name: _clamped(colour, 1.0) for name, colour in colours.items()}
+    colours = (material.albedo, material.reflectance, material.transmission)
+    clamped = tuple(_clamped(colour, 1.0) for colour in colours)
     emission = _clamped(material.emission, np.inf)
     if clamped != colours or emission != material.emission:
         notes.look("materials with colours outside [0, 1], which are clamped", material.name)
     if any(emission):
         notes.look(EMITS, material.name)
     roughness = min(max(float(np.nan_to_num(material.roughness)), SMALLEST_ROUGHNESS), 1.0)
-    return replace(material, **clamped, roughness=roughness, emission=emission)
+    albedo, reflectance, transmission = clamped
+    return replace(
+        material,
+        albedo=albedo,
+        reflectance=reflectance,
+        transmission=transmission,
+        roughness=roughness,
+        emission=emission,
+    )
 
 
 def _clamped(colour: Colour, most: float) -> Colour:

@@ -74,7 +74,7 @@ def surface_texture(
 def without_textures(material: FileMaterial, notes: Notes) -> FileMaterial:
     """A textured material for a mesh without coordinates: means stand for the textures."""
     maps = material.maps
-    if not maps.textures:
+    if maps is None or not maps.textures:
         return material
     kind = "textures of meshes without texture coordinates, their mean stands for them"
     notes.look(kind, material.name)

@@ -45,8 +45,8 @@ def read_environment(root: Table, folder: Path, reach: Reach) -> tuple[Environme
     if "radiance" in table:
         return replace(blank, radiance=table.colour("radiance"), suns=suns), warnings
     if "file" in table:
-        found = _read_file(table, folder, reach, warnings)
-        return replace(blank, radiance=found, suns=suns), warnings
+        texels = _read_file(table, folder, reach, warnings)
+        return replace(blank, radiance=texels, suns=suns), warnings
     if "sky" not in table:
         return replace(blank, suns=suns), warnings
     zenith = table.colour("zenith", 1.0)

@@ -38,7 +38,8 @@ class Holes:
         shares = np.stack([1.0 - u[asked] - v[asked], u[asked], v[asked]], axis=1)
         for index in np.unique(material):
             here = material == index
-            uv = np.einsum("ij,ijk->ik", shares[here], self._scene.vertex_uv[corners[here]])
+            uv = np.einsum("ij,ijk->ik", shares[here], self._scene.coordinates[corners[here]])
             maps = self._scene.materials[index].maps
-            found[asked[here]] = maps.opacity.at(uv)[:, 3] < maps.cutoff
+            if maps is not None and maps.opacity is not None:
+                found[asked[here]] = maps.opacity.at(uv)[:, 3] < maps.cutoff
         return found

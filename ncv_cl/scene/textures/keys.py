@@ -8,10 +8,10 @@ import numpy as np
 
 from ..table import Table
 from .image_file import ENCODINGS, ImageFiles
-from .texture import AS_IT_IS, WRAPS, Maps, Texture
+from .texture import AS_IT_IS, WRAPS, Maps, Placement, Texture
 
 _KEYS = ("file", "factor", "scale", "offset", "wrap", "filter", "encoding")
-# What may be a texture, in the order of `Maps`.
+# What may be a texture.
 _TEXTURED = ("albedo", "roughness", "emission", "opacity", "normal")
 _FILTERS = ("linear", "nearest")
 
@@ -36,7 +36,7 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
             )
         return maps, table
     found: dict[str, Texture] = {}
-    placements: dict[str, tuple[float, ...]] = {}
+    placements: dict[str, Placement] = {}
     factors: dict[str, object] = {}
     for key in _TEXTURED:
         value = table.raw(key) if key in table else None
@@ -62,9 +62,16 @@ def read_maps(table: Table, images: ImageFiles) -> tuple[Maps | None, Table]:
     for key, placement in placements.items():
         if placement != placements[first]:
             raise table.error(key, f"its scale and offset must be those of {first}'s texture")
-    textures = (found.get(key) for key in _TEXTURED)
     scale = Table(table.source, table.where, factors, _TEXTURED).number("normal", 1.0)
-    maps = Maps(*textures, placement=placements[first], normal_scale=scale)
+    maps = Maps(
+        found.get("albedo"),
+        found.get("roughness"),
+        found.get("emission"),
+        found.get("opacity"),
+        found.get("normal"),
+        normal_scale=scale,
+        placement=placements[first],
+    )
     return maps, table.replaced(factors)
 
 
@@ -87,7 +94,7 @@ def _read_texture(table: Table, images: ImageFiles, encoding: str, of_opacity: b
     return Texture(texels, (wraps[0], wraps[1]), nearest)
 
 
-def _placement(table: Table) -> tuple[float, float, float, float, float, float]:
+def _placement(table: Table) -> Placement:
     (su, sv), (ou, ov) = (table.pair(key, default) for key, default in (("scale", 1.0), ("offset", 0.0)))
     if not (su and sv):
         raise table.error("scale", "is zero: the image would be one colour")

@@ -16,7 +16,7 @@ def tangents(scene: Scene, triangle: NDArray) -> tuple[NDArray[np.float64], NDAr
     zero where a triangle's coordinates lie on a line.
     """
     corners = scene.vertices[scene.triangles[triangle]].astype(np.float64)
-    uv = scene.vertex_uv[scene.triangles[triangle]].astype(np.float64)
+    uv = scene.coordinates[scene.triangles[triangle]].astype(np.float64)
     (edge1, edge2), (first, second) = (
         (rows[:, 1] - rows[:, 0], rows[:, 2] - rows[:, 0]) for rows in (corners, uv)
     )

@@ -56,13 +56,15 @@ def surface_at(scene: Scene, triangle: NDArray, u: NDArray, v: NDArray) -> Surfa
         albedo *= _interpolated(scene.vertex_colours, corners, shares)
     metallic, emission_factor = np.zeros(len(triangle)), np.ones((len(triangle), 3))
     for index, one in enumerate(scene.materials):
-        here = np.flatnonzero(material == index) if one.maps is not None else []
+        maps = one.maps
+        if maps is None:
+            continue
+        here = np.flatnonzero(material == index)
         if not len(here):
             continue
-        maps = one.maps
         metallic[here] = maps.metallic
         if maps.textures:
-            uv = _interpolated(scene.vertex_uv, corners[here], shares[here])
+            uv = _interpolated(scene.coordinates, corners[here], shares[here])
         if maps.colour is not None:
             albedo[here] *= maps.colour.at(uv)[:, :3]
         if maps.surface is not None:
@@ -96,7 +98,7 @@ def bent_normals(
         if not len(here) or one.maps is None or one.maps.normal is None:
             continue
         own = triangle[here]
-        uv = _interpolated(scene.vertex_uv, scene.triangles[own], shares[here])
+        uv = _interpolated(scene.coordinates, scene.triangles[own], shares[here])
         texel = one.maps.normal.at(uv)[:, :3]
         scale = one.maps.normal_scale
         found[here] = bent(scene, own, texel, scale, found[here], outgoing[here].astype(np.float64))

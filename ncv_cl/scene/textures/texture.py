@@ -7,14 +7,16 @@ one, and texels' colours stand for their centres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # How an image goes on beyond its sides; their order is that of the kernels' numbers.
 WRAPS = ("repeat", "mirror", "clamp")
-# The placement of an image on the unit square.
-AS_IT_IS = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+# (a, b, c, d, e, f): textures are looked up at (a u + b v + c, d u + e v + f).
+Placement: TypeAlias = tuple[float, float, float, float, float, float]
+AS_IT_IS: Placement = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 # No mesh means coordinates beyond; they would not be finite in single precision.
 _FARTHEST = 1e9
 LARGEST_HALF = float(np.finfo(np.float16).max)
@@ -39,7 +41,9 @@ class Texture:
     nearest: bool = False
 
     @classmethod
-    def of(cls, image: object, wrap: str | tuple[str, str] = "repeat", nearest: bool = False) -> Texture:
+    def of(
+        cls, image: ArrayLike, wrap: str | tuple[str, str] = "repeat", nearest: bool = False
+    ) -> Texture:
         """A texture from an array of linear colours, which is rounded to half precision.
 
         Parameters
@@ -67,14 +71,14 @@ class Texture:
             raise ValueError("the image has no pixels")
         if not (np.abs(values) <= LARGEST_HALF).all():
             raise ValueError(f"an image holds what is not finite or beyond {LARGEST_HALF:g}")
-        wrap = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
-        if len(wrap) != 2 or not set(wrap) <= set(WRAPS):
-            raise ValueError(f"wrap must be one of {', '.join(WRAPS)}, or two of them, got {wrap!r}")
+        wraps: tuple[str, ...] = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap)
+        if len(wraps) != 2 or not set(wraps) <= set(WRAPS):
+            raise ValueError(f"wrap must be one of {', '.join(WRAPS)}, or two of them, got {wraps!r}")
         texels = np.ones((*values.shape[:2], 4), np.float16)
         colours = values.shape[2] if values.shape[2] == 4 else 3
         texels[:, :, :colours] = values[::-1]
         texels.setflags(write=False)
-        return cls(texels, wrap, bool(nearest))
+        return cls(texels, (wraps[0], wraps[1]), bool(nearest))
 
     def at(self, uv: NDArray) -> NDArray[np.float64]:
         """Colours and alpha at coordinates (n, 2), float64 (n, 4)."""
@@ -154,7 +158,7 @@ class Maps:
     metallic: float = 0.0
     cutoff: float = 0.5
     normal_scale: float = 1.0
-    placement: tuple[float, float, float, float, float, float] = AS_IT_IS
+    placement: Placement = AS_IT_IS
 
     def placed(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where a mesh's coordinates (n, 2) are looked up; those that are not finite are 0.

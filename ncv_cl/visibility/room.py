@@ -1,0 +1,108 @@
+"""Memory for a batch of samples and its shadow rays, of which there may be two: one is computed on the
+device while the host answers the rays of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+
+from ..opencl.device import Device
+from ..opencl.memory import HostArray, Window
+from .rays import RayCount, ShadowRays
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples of consecutive shading points, as samples.cl lays them out.
+
+    Attributes
+    ----------
+    points : range
+        Where in `order` the batch's shading points are.
+    order : HostArray
+        uint32, indices of shading points.
+    samples : int
+        Samples of each point; `stride` elements are reserved for each.
+    u, v, value, slot, visible : HostArray
+        Coordinates, values without shadow, and where in `visible` (uint8) a sample's ray was answered.
+    weight : HostArray, optional
+        One over the density that the samples were drawn with; None: uniform.
+    entries : int
+        Weighted values that each sample is the mean of, `stride` elements apart; more than one where
+        points share paths.
+    """
+
+    points: range
+    order: HostArray
+    samples: int
+    stride: int
+    u: HostArray
+    v: HostArray
+    value: HostArray
+    slot: HostArray
+    visible: HostArray
+    weight: HostArray | None = None
+    entries: int = 1
+
+
+# Bytes that a sample takes in `Room` and `ShadowRays`, but its values; and what paths take at most: two
+# waves of two branches, what each brings, and where points share paths their hits and entries.
+SAMPLE_BYTES, PATH_BYTES = 17 + 28, 1 << 10
+
+
+def sample_bytes(channels: int, nested: bool) -> int:
+    """Bytes of the memory of two batches, or of one of paths, for each of their samples, at most."""
+    return 2 * (SAMPLE_BYTES + 4 * channels) + (PATH_BYTES if nested else 0)
+
+
+class Room:
+    """Memory for one batch: arrays as in `Batch`."""
+
+    def __init__(self, device: Device, channels: int, capacity: int) -> None:
+        self.u = HostArray(device, capacity, np.float32)
+        self.v = HostArray(device, capacity, np.float32)
+        self.value = HostArray(device, (channels, capacity), np.float32)
+        self.weight = HostArray(device, capacity, np.float32)
+        self.slot = HostArray(device, capacity, np.uint32)
+        self.visible = HostArray(device, capacity, np.uint8, streams=True)
+
+
+class Asked(NamedTuple):
+    """A batch that the device computes, before its rays are answered.
+
+    Attributes
+    ----------
+    drawn : Event, optional
+        Of its kernel, where more may be asked of the device before its rays are answered.
+    points, order, samples, stride, weight
+        As in `Batch`.
+    """
+
+    room: Room
+    rays: ShadowRays
+    drawn: cl.Event | None
+    points: range
+    order: HostArray
+    samples: int
+    stride: int
+    weight: HostArray | None
+
+    def answer(self, count: RayCount) -> None:
+        """Have the rays answered and counted."""
+        samples, visible = len(self.points) * self.samples, self.room.visible
+        let_through = self.rays.answer(samples, visible, count, self.drawn)
+        if let_through is not None:
+            self._tint(let_through)
+
+    def _tint(self, let_through: np.ndarray) -> None:
+        """Multiply values by what panes let through of each ray, float32 (rays, 3)."""
+        elements, channels = len(self.points) * self.stride, self.room.value.shape[0]
+        with self.room.slot.mapped(count=elements, after=self.drawn) as slot:
+            traced = np.flatnonzero(slot < len(let_through))
+            factors = let_through[slot[traced], :channels]
+        own = Window(0, elements, range(channels), range(elements))
+        with self.room.value.mapped(update=True, window=own, after=self.drawn) as planes:
+            planes[:, traced] *= factors.T
