@@ -25,7 +25,7 @@ def room(
 ) -> ncv.Scene:
     """Boxes, and balls of glass or that glow, in a room under lamps at random places of its ceiling.
 
-    `gloss` is what its boxes have beside their albedo, and its walls too if it is METAL. By the `window`,
+    `gloss` is what its boxes have beside their albedo, and its walls too if it is METAL. By the `window`
     a wall that is not there, come light of the sky and of a sun.
     """
     generator = np.random.default_rng(seed)

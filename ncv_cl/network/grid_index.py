@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..opencl.kernel import Kernel
+from ..opencl.kernel import Arguments, Kernel
 from ..opencl.memory import HostArray
 from ..opencl.program import build
 from .encode import Encoder, Encoding
@@ -153,17 +154,17 @@ class Keys:
 
     def write(
         self, kernel: Callable[[str], Kernel], stride: int, weight: HostArray
-    ) -> tuple[list[range], dict[str, HostArray]]:
+    ) -> tuple[list[range], Arguments]:
         """`batches` and `arrays` of the index, from sorted keys."""
         device = self.words.device
         items = -(-self.pairs // CHUNK)
-        shared = {"pairs": self.pairs, "chunk": CHUNK, "keys": self.words}
+        shared: Arguments = {"pairs": self.pairs, "chunk": CHUNK, "keys": self.words}
         counts = HostArray(device, items, np.uint32)
         entry_shift = self.shifts["entry_shift"]
         kernel("count_lists")(items, **shared, entry_shift=entry_shift, counts=counts)
         ends = np.cumsum(counts.read(), dtype=np.uint32)
         lists = int(ends[-1])
-        arrays = {
+        arrays: Arguments = {
             "entries": HostArray(device, lists, np.uint32),
             "starts": HostArray(device, lists + 1, np.uint32),
             "places": HostArray(device, self.pairs, np.uint32),
@@ -201,8 +202,9 @@ def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # Entry and number in one word, a short one if they fit: sorting plain words is many times faster
     # than finding an order.
     bits = (corner.size - 1).bit_length()
-    word = np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
-    keys = corner.astype(word).ravel()
+    fits = bits + int(corner.max()).bit_length() <= 32
+    word: type[np.unsignedinteger] = np.uint32 if fits else np.uint64
+    keys: NDArray[np.unsignedinteger] = corner.astype(word).ravel()
     keys <<= word(bits)
     keys |= np.arange(keys.size, dtype=word)
     keys.sort()
