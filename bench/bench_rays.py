@@ -25,7 +25,8 @@ from ncv_cl.opencl.device import GPU_LANES, Device, open_device
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.points import find_points
 from ncv_cl.points.trace import Tracer
-from ncv_cl.sampling.wave import HEADER, HOST_PLANES, PLANES, Wave
+from ncv_cl.sampling.waves.wave import HEADER, HOST_PLANES, PLANES
+from ncv_cl.sampling.waves.waves import Waves
 from ncv_cl.scene.load import Scene, load_scene
 from ncv_cl.visibility.hierarchy import Hierarchy
 from ncv_cl.visibility.rays import RayCount, shadow_rays
@@ -68,8 +69,9 @@ def by_kernels(
     device: Device, hierarchy: Hierarchy, origins: np.ndarray, directions: np.ndarray
 ) -> tuple[float, float]:
     tracer, count = DeviceTracer(device, hierarchy), len(origins)
-    wave = Wave(device, count)
-    wave.make_room(count)
+    waves = Waves(device, tracer, by_kernels=False, panes=False)
+    waves.make(count)
+    wave = waves.begin(count)
 
     def first_hits() -> None:
         with wave.words.mapped(update=True) as words:
@@ -78,7 +80,7 @@ def by_kernels(
             planes = host.reshape(HOST_PLANES, wave.plane)
             planes[PLANES["origin"], :count] = origins.T
             planes[PLANES["direction"], :count] = directions.T
-        wave.trace(tracer)
+        waves.trace(bounce=1)
         device.queue.finish()
 
     rays, visible = shadow_rays(device, tracer, count, False), HostArray(device, count, np.uint8)

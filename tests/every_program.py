@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import pickle
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -207,6 +209,24 @@ def integrate_everything(device: Device) -> None:
             integrate(
                 weights, biases, method=method, precision=precision, device=device, return_bound=True
             )
+
+
+def programs_of(device: Device, folders: pytest.TempPathFactory) -> list[Built]:
+    """What `build_everything` builds for a device, once for all processes of a run of pytest."""
+    import fcntl  # Not on Windows, which has none of what takes these programs.
+
+    # Workers of pytest-xdist have the folder above theirs in common, and no other run has it.
+    shared = folders.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    kept = shared / f"programs_{device.vector_width}_{device.lanes}.pickle"
+    with kept.with_suffix(".lock").open("w") as lock:
+        # Others wait here; the file is closed, and so unlocked, whatever happens.
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            built = build_everything([device], folders.mktemp("programs"))
+            kept.write_bytes(pickle.dumps(built))
+        return pickle.loads(kept.read_bytes())
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -41,6 +42,7 @@ MOST_FILES, MOST_LINES = 12, 400
 DOUBLE = re.compile(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?![\w.])")
 
 
+@functools.cache
 def imports(module: str) -> set[str]:
     """Dotted names, inside the package, of the modules that `module` imports."""
     found = set()
@@ -68,6 +70,7 @@ def folder(module: str) -> str:
     return module.split(".")[0]
 
 
+@functools.cache
 def strings(path: Path) -> set[str]:
     """The string constants of a module."""
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))

@@ -33,9 +33,16 @@ def worst_error(values, network):
 
 
 @pytest.fixture
-def changed_kernels(monkeypatch):
-    """Replaces texts in kernels, for programs that are built in this test only."""
+def own_programs(monkeypatch):
+    """Programs of this test alone: nearly all of its time is theirs, of which optimising takes half."""
     monkeypatch.setattr(program, "_programs", {})
+    options = program.option_list
+    monkeypatch.setattr(program, "option_list", lambda defines: [*options(defines), "-cl-opt-disable"])
+
+
+@pytest.fixture
+def changed_kernels(monkeypatch, own_programs):
+    """Replaces texts in kernels, for programs that are built in this test only."""
     original = program.source
 
     def change(*replacements):
@@ -73,7 +80,9 @@ CAPACITIES = ("MAX_VERTICES", "MAX_HALF_EDGES", "MAX_FACES", "MAX_TRIANGLES", "C
 
 @pytest.mark.parametrize("capacity", CAPACITIES)
 @pytest.mark.parametrize("method", INTEGRATION_METHODS)
-def test_every_capacity_that_does_not_hold_is_noticed(device, method, capacity, monkeypatch):
+def test_every_capacity_that_does_not_hold_is_noticed(
+    device, method, capacity, own_programs, monkeypatch
+):
     if capacity == "MAX_TRIANGLES" and method == "full":
         pytest.skip("full lists faces")
     original = integrator.shape_constants

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from every_program import build_everything
+from every_program import programs_of
 
 from ncv_cl.opencl import program
 from ncv_cl.opencl.device import GPU_LANES, open_device
@@ -26,7 +27,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(CLANG is None, reason="clang 
 def programs(one_device, tmp_path_factory):
     """(files, defines) of every program, in the shapes of CPUs and GPUs."""
     shapes = [open_device(one_device.cl_device, one_device.index, *shape) for shape in SHAPES]
-    built = build_everything(shapes, tmp_path_factory.mktemp("programs"))
+    built = itertools.chain(*(programs_of(shape, tmp_path_factory) for shape in shapes))
     return [(one.files, one.defines) for one in built]
 
 

@@ -10,8 +10,7 @@ import pytest
 from test_pictures import SCENES, SMALL
 
 import ncv_cl as ncv
-from ncv_cl.opencl.errors import DeviceMemoryError
-from ncv_cl.opencl.limits import DeviceMemory
+from ncv_cl.opencl.limits import DeviceMemory, DeviceMemoryError
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.rendering import pipeline
 from ncv_cl.sampling.paths import PathSource

@@ -11,7 +11,7 @@ from test_network import ALL_INPUTS, knot_points, random_network
 
 from ncv_cl.integrands import DirectLight
 from ncv_cl.learning.train import Trainer
-from ncv_cl.network.encode import _by_entry
+from ncv_cl.network.grid_index import _by_entry
 from ncv_cl.opencl.memory import HostArray
 from ncv_cl.points.sampler import Stream
 from ncv_cl.points.trace import Tracer

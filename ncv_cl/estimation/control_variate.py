@@ -164,7 +164,7 @@ def idle_neurons(folded: FoldedNetwork, points: int) -> dict[str, object]:
     """
     chosen = np.linspace(0, points, min(points, POINTS_LOOKED_AT), endpoint=False)
     device, defines = folded.device, folded.network.description.defines()
-    neurons = defines["HIDDEN1"]
+    neurons = folded.network.description.hidden[0]
     counts = HostArray(device, (neurons, 2), np.uint32)
     counts.fill(0)
     build(device, ("idle",), {**defines, "PARTS": f"{IDLE_PARTS}u"}).kernel("count_idle")(

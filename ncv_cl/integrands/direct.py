@@ -13,7 +13,7 @@ from ..scene.geometry import SMALLEST_ROUGHNESS
 from ..scene.load import Scene
 from . import tuning
 from .base import Integrand, IntegrandError
-from .environment import environment_seen, has_environment, has_image
+from .environment import environment_seen, has_environment, has_image, surroundings
 from .light_sources import emissions, hidden_materials, light_sources
 from .lights import LIGHT_FILES, emitted_by_lights, light_defines, light_records
 
@@ -136,7 +136,7 @@ def dark_defines(device: Device) -> dict[str, int | str]:
         **DARK_LIGHT.defines(),
         **DARK_SUN.defines(),
         "WIDE_DOUBLE": int(device.has_float64),
-        "MARGIN": f"{DARK_MARGIN!r}f",
+        "MARGIN": f"{0.0 if device.has_float64 else DARK_MARGIN!r}f",
     }
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..host.clock import CHECKED_STEPS
-from ..network.encode import Encoder, GridIndex, TouchedTable
+from ..network.encode import Encoder, TouchedTable
+from ..network.grid_index import GridIndex
 from ..network.network import Network
 from ..network.padded import Averaged, PaddedLayout
 from ..opencl.device import Device
@@ -129,7 +130,7 @@ class Trainer:
         self._order = HostArray.of(device, order)
         self._encoder = Encoder(device, description.encoding, points, network.cube, self._order)
         self._batches = minibatches(count, settings.batch)
-        self._index = GridIndex(device, self._encoder, description.encoding, self._batches)
+        self._index = GridIndex.of(self._encoder, description.encoding, self._batches)
 
         self._layout = PaddedLayout(description, device.vector_width)
         self._parameters: Averaged

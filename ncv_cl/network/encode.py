@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..host.files import some_of, whole_number
 from ..opencl.device import Device
@@ -202,8 +200,8 @@ class Encoder:
             features=self.features,
         )
 
-    def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Table entry and trilinear weight of every corner of every level, each (levels * 8, count)."""
+    def corners(self) -> tuple[HostArray, HostArray]:
+        """Table entry and trilinear weight of every corner of every level, each (levels * 8, stride)."""
         device = self.features.device
         corner = HostArray(device, self._corners, np.uint32)
         weight = HostArray(device, self._corners, np.float32)
@@ -215,7 +213,7 @@ class Encoder:
             corner=corner,
             weight=weight,
         )
-        return corner.read()[:, : self.count], weight.read()[:, : self.count]
+        return corner, weight
 
 
 class TouchedTable:
@@ -248,84 +246,3 @@ class TouchedTable:
         with self.state.mapped() as state:
             table[self._touched] = state[:, : self._features]
         return table
-
-
-class GridIndex:
-    """Which columns touch which table entry, for each minibatch: the hash grid's gather lists.
-
-    Attributes
-    ----------
-    touched : ndarray
-        The table entries that any column touches, in increasing order; the index counts only these.
-    corner : HostArray
-        uint32 (columns, levels * 8), the entries around each column.
-    batches : list of range
-        For each minibatch, its items in `entries` and `starts`.
-    arrays : dict of HostArray
-        entries, starts, places and weights as adam.cl reads them.
-    """
-
-    def __init__(
-        self, device: Device, encoder: Encoder, encoding: Encoding, batches: list[range]
-    ) -> None:
-        corner, weight = encoder.corners()
-        is_touched = np.zeros(encoding.table_shape[0], bool)
-        is_touched[corner.ravel()] = True
-        self.touched = np.flatnonzero(is_touched)
-        number = np.cumsum(is_touched, dtype=np.uint32) - np.uint32(1)
-        corner = number[corner]
-        self.corner = HostArray.of(device, np.ascontiguousarray(corner.T))
-        parts: list[list[np.ndarray]] = [[], [], [], []]
-        self.batches = []
-        entries = pairs = 0
-        # One minibatch at a time, so that what is sorted stays in the cache.
-        for batch in batches:
-            own = slice(batch.start, batch.stop)
-            entry, starts, number = _by_entry(corner[:, own])
-            place = _places(encoding, len(batch))[number]
-            found = entry, starts + np.uint32(pairs), place, weight[:, own].ravel()[number]
-            for part, array in zip(parts, found, strict=True):
-                part.append(array)
-            self.batches.append(range(entries, entries + len(entry)))
-            entries += len(entry)
-            pairs += len(number)
-        parts[1].append(np.array([pairs], np.uint32))
-        whole = (HostArray.of(device, np.concatenate(part)) for part in parts)
-        self.arrays = dict(zip(("entries", "starts", "places", "weights"), whole, strict=True))
-
-
-def _by_entry(corner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The pairs of corner and column, in the order of their entries.
-
-    Parameters
-    ----------
-    corner : ndarray
-        uint32 (levels * 8, columns), the entries.
-
-    Returns
-    -------
-    entry, starts, number : ndarray
-        Each entry once (uint32), where its pairs begin (uint32), and every pair's number in `corner`.
-    """
-    # Entry and number in one word, a short one if they fit: sorting plain words is many times faster
-    # than finding an order.
-    bits = (corner.size - 1).bit_length()
-    word: type[np.unsignedinteger] = (
-        np.uint32 if bits + int(corner.max()).bit_length() <= 32 else np.uint64
-    )
-    keys: NDArray[np.unsignedinteger] = corner.astype(word).ravel()
-    keys <<= word(bits)
-    keys |= np.arange(keys.size, dtype=word)
-    keys.sort()
-    entry = keys >> word(bits)
-    starts = np.flatnonzero(np.append(True, entry[1:] != entry[:-1]))
-    number = (keys & word((1 << bits) - 1)).astype(np.intp)
-    return entry[starts].astype(np.uint32), starts.astype(np.uint32), number
-
-
-@functools.lru_cache(maxsize=4)
-def _places(encoding: Encoding, columns: int) -> np.ndarray:
-    """Where the gradient of each pair's feature row stands, uint32 (levels * 8 * columns,)."""
-    row, column = np.divmod(np.arange(encoding.grid_levels * 8 * columns, dtype=np.uint32), columns)
-    places = column * encoding.grid_rows + row // 8 * encoding.grid_features
-    return places.astype(np.uint32)

@@ -150,7 +150,7 @@ def _by_rule(usable: list[Device]) -> tuple[Device, str]:
     others = [device for device in usable if not device.is_gpu]
     facts = {device: facts_of(device.cl_device) for device in usable}
     gpu = max(gpus, key=lambda device: (facts[device].is_gpu, facts[device].peak), default=None)
-    if not others:
+    if gpu is not None and not others:
         return gpu, "the GPU of the highest peak, without a CPU's runtime beside it"
     cpu = max(others, key=_preference)
     if gpu is None:

@@ -12,8 +12,7 @@ from typing import TypeVar
 
 import pyopencl as cl
 
-from .errors import DeviceError
-from .limits import DeviceMemory
+from .limits import DeviceError, DeviceMemory
 from .runtimes import loaded_elsewhere, platforms
 
 # A group of this many work-items cooperates on one shading point on a GPU (a warp on NVIDIA) that does

@@ -7,12 +7,18 @@ import threading
 
 import pyopencl as cl
 
-from .errors import DeviceMemoryError
-
 HINT = "Take a smaller image, less supersampling, or a device with more memory"
 
 # A stage's working memory is this part of what is left: the next stages' points need some, too.
 WORKING_PART = 4
+
+
+class DeviceError(RuntimeError):
+    """No usable OpenCL device, or the one asked for does not exist."""
+
+
+class DeviceMemoryError(DeviceError, MemoryError):
+    """An array is larger than the device can hold, or than is left."""
 
 
 class DeviceMemory:

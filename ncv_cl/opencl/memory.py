@@ -11,7 +11,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -70,10 +70,11 @@ class HostArray:
         memory = device.memory
         memory.take(size, f"an array {self.shape} of {self.dtype}")
         weakref.finalize(self, memory.give_back, size).atexit = False
-        flags = cl.mem_flags.READ_WRITE
         self._shared = memory.shared
+        flags = cl.mem_flags.READ_WRITE
         if self._shared:
-            flags |= cl.mem_flags.ALLOC_HOST_PTR
+            # Flags add up, which pyopencl's hints leave out.
+            flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR  # type: ignore[assignment]
         self._staging = Staging(device) if streams and not self._shared else None
         self.buffer = cl.Buffer(device.context, flags, size=size)
 
@@ -133,11 +134,12 @@ class HostArray:
         """The array itself."""
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
         if update:
-            flags = cl.map_flags.READ | cl.map_flags.WRITE
+            # Flags add up, which pyopencl's hints leave out.
+            flags = cl.map_flags.READ | cl.map_flags.WRITE  # type: ignore[assignment]
         start, mapped = 0, shape
         if window:
             # From the first to the last element; what lies between rows is kept.
-            start, mapped = window.start, (shape[0] - 1) * window.pitch + shape[1]
+            start, mapped = window.start, ((shape[0] - 1) * window.pitch + shape[1],)
             flags = cl.map_flags.WRITE if write else flags
         begin = start * self.dtype.itemsize
         queue = self.device.queue
@@ -162,15 +164,14 @@ class HostArray:
         after: cl.Event | None,
     ) -> Iterator[np.ndarray]:
         """Copies of what is asked for, before the block and after it."""
-        queue, waits = self.device.queue, {}
+        queue, staging = self.device.queue, self._staging
+        waits: dict[str, Any] = {}
         if after is not None:
             queue.flush()
             queue, waits = copy_queue(self.device), {"wait_for": [after]}
-        number = None
-        if self._staging is None:
-            own = np.empty(shape, self.dtype)
-        else:
-            own, number = self._staging.area(shape, self.dtype)
+        own, number = (
+            (np.empty(shape, self.dtype), 0) if staging is None else staging.area(shape, self.dtype)
+        )
         if not write:
             where = _copy_arguments(own, window, "src_offset")
             cl.enqueue_copy(queue, own, self.buffer, is_blocking=True, **where, **waits)
@@ -178,18 +179,17 @@ class HostArray:
             yield own
         finally:
             if write or update:
-                where = _copy_arguments(own, window, "dst_offset")
-                blocks = number is None
-                copy = cl.enqueue_copy(queue, self.buffer, own, is_blocking=blocks, **where, **waits)
-                if number is not None:
-                    self._staging.copying(number, copy)
+                where = _copy_arguments(own, window, "dst_offset") | waits
+                copy = cl.enqueue_copy(queue, self.buffer, own, is_blocking=staging is None, **where)
+                if staging is not None:
+                    staging.copying(number, copy)
                 if after is not None:
                     # What the first queue is asked from now on sees what was written.
                     queue.flush()
                     cl.enqueue_barrier(self.device.queue, wait_for=[copy])
 
 
-def _copy_arguments(own: np.ndarray, window: Window | None, offset_name: str) -> dict[str, object]:
+def _copy_arguments(own: np.ndarray, window: Window | None, offset_name: str) -> dict[str, Any]:
     """Where `enqueue_copy` finds in the buffer what `own` (dense) is a copy of."""
     if window is None:
         return {offset_name: 0}

@@ -6,6 +6,8 @@ memory it reads itself, several times as fast, and while the host does something
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pyopencl as cl
 
@@ -51,7 +53,8 @@ class Staging:
     def _pinned(self, size: int) -> np.ndarray:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR
         buffer = cl.Buffer(self._device.context, flags, size=size)
-        both = cl.map_flags.READ | cl.map_flags.WRITE
-        queue = self._device.queue
-        view, _ = cl.enqueue_map_buffer(queue, buffer, both, 0, size, np.uint8, is_blocking=True)
+        # Flags add up, which pyopencl's hints leave out.
+        both: Any = cl.map_flags.READ | cl.map_flags.WRITE
+        queue, kind = self._device.queue, np.dtype(np.uint8)
+        view, _ = cl.enqueue_map_buffer(queue, buffer, both, 0, (size,), kind, is_blocking=True)
         return view

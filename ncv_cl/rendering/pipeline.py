@@ -97,7 +97,8 @@ def estimate_integrals(
     resumed = keep.resumed
     if resumed is not None:
         plan = Plan(settings.planned(resumed.method), "as it was begun")
-        check_memory(problem, plan.settings, resumed.network and resumed.network.description)
+        kept = resumed.network
+        check_memory(problem, plan.settings, None if kept is None else kept.description)
         before = _resumed(problem, plan.settings, resumed)
     else:
         wanted = given is not None or keep.network is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..points.trace import Tracer
 from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.shadow import CENTRE_FLOATS, shadow_casters, shadow_defines
+from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
 from . import tuning
@@ -49,16 +51,21 @@ def sample_source(
     tracer: Tracer | DeviceTracer,
     points: ShadingPoints,
     integrand: Integrand,
-    *rest: Any,
+    sampler: str,
+    seed: int,
+    samples_per_point: int,
+    occluders: Occluders | None = None,
     lines: bool = False,
     slices: Slices | None = None,
     shadows_tested: bool = False,
 ) -> SampleSource:
     """The `SampleSource` that suits the integrand; arguments as it and `PathSource` take them."""
-    if integrand.nested:
-        arguments = (device, scene, tracer, points, integrand, *rest)
-        return PathSource(*arguments, shadows_tested=shadows_tested)
-    return SampleSource(device, scene, tracer, points, integrand, *rest, lines=lines, slices=slices)
+    common = (sampler, seed, samples_per_point, occluders)
+    if not integrand.nested:
+        return SampleSource(device, scene, tracer, points, integrand, *common, lines, slices)
+    if not isinstance(integrand, GlobalIllumination):
+        raise TypeError(f"{type(integrand).__name__}: only integrand gi can be nested")
+    return PathSource(device, scene, tracer, points, integrand, *common, shadows_tested=shadows_tested)
 
 
 class PathSource(SampleSource):
@@ -107,7 +114,6 @@ class PathSource(SampleSource):
             "textures", "warp", "guide", "shadow", "closest", "batch", "wave", "vertex", "place",
             "share", "paths",
         )  # fmt: skip
-
         self._defines = {
             **surface_defines(),
             **sampler_defines(sampler),
@@ -127,7 +133,6 @@ class PathSource(SampleSource):
         }
         self._branches = 0
         self._most_entries = max(self._capacity, self.members**2 * LONGEST_RUN)
-        self._entries: Entries | None = None
         self._no_hits = HostArray(device, 1, np.float32)
         self._choose_program()
         self._place = _zeros(device, self._capacity, np.uint32)
@@ -142,6 +147,8 @@ class PathSource(SampleSource):
 
     def learn_guide(self) -> Guide:
         """Guide bounces by what was recorded since `record_guide`; returns what `use_guide` takes."""
+        if self._recorder is None:
+            raise RuntimeError("record_guide comes first")
         guide = self._recorder.guide()
         self._recorder = None
         self.use_guide(guide)
@@ -160,7 +167,7 @@ class PathSource(SampleSource):
         guided = self._guided and not recorded
         bounce, scale = tuning.GUIDED_ROULETTE if guided else tuning.ROULETTE
         self._make_room(tuning.BRANCHES if guided else 1)
-        self._flags = {
+        self._flags: dict[str, int | str] = {
             "BRANCHES": f"{self._branches}u",
             "RECORDED": int(recorded),
             "GUIDED": int(guided),
@@ -178,6 +185,8 @@ class PathSource(SampleSource):
 
     def _following_program(self) -> Program:
         """What has follow_paths, which starts behind all that points share."""
+        if not isinstance(self._tracer, DeviceTracer):
+            raise TypeError("only a device's own walk through the scene follows paths")
         defines = {**self._tracer.defines(), **share_defines(1, False), "FOLLOWED": 1}
         files = (*self._files, "trace", "follow")
         return build(self.device, files, {**self._defines, **self._flags, **defines})
@@ -218,11 +227,8 @@ class PathSource(SampleSource):
         """
         members = self.members if grouped else 1
         self._paths = self._program_of(members, density is not None)
-        if members > 1 and self._entries is None:
-            self._entries = Entries(
-                self.device, members, self._capacity, self._most_entries, self._slots
-            )
-        self._hits = self._entries.hits if members > 1 else self._no_hits
+        entries = self._entries if members > 1 else None
+        self._hits = self._no_hits if entries is None else entries.hits
         batch = super().draw(points, samples, stream, order, density)
         places = len(batch.points) * batch.stride
         if places > MOST_PLACES:
@@ -234,8 +240,8 @@ class PathSource(SampleSource):
             self._run_ahead(batch, samples.start, path_stream)
         else:
             self._run(batch, samples.start, path_stream)
-        if members > 1:
-            self._rays.trace_seconds += self._entries.gather(
+        if entries is not None:
+            self._rays.trace_seconds += entries.gather(
                 self._paths,
                 self._waves,
                 self.points,
@@ -246,7 +252,7 @@ class PathSource(SampleSource):
                 radiance=self._radiance,
             )
             self._count_seconds(begun, traced)
-            return self._entries.batch(batch, self._whole_slot, self._whole_visible)
+            return entries.batch(batch, self._whole_slot, self._whole_visible)
         self._paths.kernel("finish_paths")(
             -(-places // self.device.vector_width),
             count=places,
@@ -261,6 +267,11 @@ class PathSource(SampleSource):
             points, batch.order, batch.samples, batch.stride, batch.u, batch.v, batch.value,
             self._whole_slot, self._whole_visible, batch.weight,
         )  # fmt: skip
+
+    @functools.cached_property
+    def _entries(self) -> Entries:
+        """Memory for what points share, made when it is first needed."""
+        return Entries(self.device, self.members, self._capacity, self._most_entries, self._slots)
 
     def _run(self, batch: Batch, first_sample: int, stream: int) -> None:
         """A bounce of all paths after the other, until no rays are left."""
@@ -347,7 +358,8 @@ class PathSource(SampleSource):
         # A channel that the surface swallows tells nothing, and what it is taken for does not matter.
         arrived = brought / np.maximum(throughput, 1e-3 * throughput.max(axis=0))
         known = place != NO_RAY
-        self._recorder.add(place[known], arrived[:, known], throughput[:, known])
+        if self._recorder is not None:
+            self._recorder.add(place[known], arrived[:, known], throughput[:, known])
 
     def _common(self, batch: Batch, first_sample: int, stream: int) -> dict[str, Any]:
         """What all paths of a batch have in common, as paths.cl has it."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..opencl.device import Device
+from ..opencl.kernel import Arguments
 from ..opencl.layout import Record
 from ..opencl.memory import HostArray
 from ..opencl.program import Program
@@ -74,7 +75,7 @@ class Entries:
             Those of share.cl.
         """
         places = len(own.points) * own.stride
-        common = {
+        common: Arguments = {
             "first_point": own.points.start,
             "point_count": len(own.points),
             "total_points": points.total,
@@ -88,12 +89,12 @@ class Entries:
         }
         samples = places // (self._members * self._device.vector_width)
         wave = waves.begin(0, places * self._members)
-        arguments = {"casters": casters, "plane": wave.plane, "wave": wave.words}
+        arguments: Arguments = {"casters": casters, "plane": wave.plane, "wave": wave.words}
         program.kernel("share_rays")(samples, **common, **arguments)
         seconds = waves.trace("shared")
         waves.each_lit(program, "share_seen", visible=self.visible)
         waves.end(program)
-        weights = {}
+        weights: Arguments = {}
         if density is not None:
             weights = {"density": density.records(own.order, own.points), "own_weight": own.weight}
         program.kernel("share_paths")(

@@ -59,10 +59,10 @@ class Sampling:
         256 rays, with less error. Under "lines" `spp` is the number of slices.
     rays : {"auto", "embree", "device"}
         Who traces rays of samples and paths. "embree": the host. "device": kernels, through boxes of
-        boxes of triangles; the host then waits for the device once a pass only, in global illumination
-        once a bounce. Pixels differ where a ray grazes an edge. "auto": the device if it is a GPU, but
-        not under `visibility` "embree" and not where textures make holes, which the host looks up.
-        Camera rays are always embree's.
+        boxes of triangles; the host then waits for the device once a pass only (of a CPU, in global
+        illumination, once a bounce, which costs nothing there). Pixels differ where a ray grazes an
+        edge. "auto": the device if it is a GPU, but not under `visibility` "embree" and not where
+        textures make holes, which the host looks up. Camera rays are always embree's.
     split_direct : {"auto", "on", "off"}
         Global illumination: estimate direct light apart from the light of paths ("on"), by samples of
         its own, or both by the same samples ("off"). "auto": apart where it can be sampled along lines.

@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from ..opencl.device import Device
 from ..opencl.memory import HostArray, Window
-from .rays import HostRays, RayCount
+from .rays import RayCount, ShadowRays
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Batch:
     entries: int = 1
 
 
-# Bytes that a sample takes in `Room` and `HostRays`, but its values; and what paths take at most: two
+# Bytes that a sample takes in `Room` and `ShadowRays`, but its values; and what paths take at most: two
 # waves of two branches, what each brings, and where points share paths their hits and entries.
 SAMPLE_BYTES, PATH_BYTES = 17 + 28, 1 << 10
 
@@ -82,7 +82,7 @@ class Asked(NamedTuple):
     """
 
     room: Room
-    rays: HostRays
+    rays: ShadowRays
     drawn: cl.Event | None
     points: range
     order: HostArray
