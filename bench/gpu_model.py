@@ -99,8 +99,13 @@ def _lines(recorded: dict) -> Iterator[str]:
     )  # fmt: skip
     yield from ["", *comparison(predictions)]
     yield from ["", "## Kernels", "", KERNELS]
-    for name, (prediction, *_) in ((name, predictions[name]) for name in cases):
+    for name, case in cases.items():
+        prediction = predictions[name][0]
         yield from ["", f"### {name}", "", *kernels(prediction)]
+        left_out = set(case["counted"][-1]["kernels"]) - {one.name for one in prediction.kernels}
+        if left_out:
+            named = ", ".join(f"`{one}`" for one in sorted(left_out))
+            yield from ["", f"Not launched by the simulator's small render, and left out: {named}."]
 
 
 KERNELS = f"""Those that take at least {SHOWN:.0%} of a render's device seconds. Instructions, operations
@@ -126,8 +131,9 @@ def cpu_seconds(case: dict) -> float:
 def comparison(predictions: dict) -> Iterator[str]:
     """What two cores take beside it, and what that says of when a GPU pays."""
     peaks = H100.peak / CPU_PEAK
-    yield f"""In global illumination a batch has 2^16 paths, since eight points share one: too few to fill the
-GPU, so launches are most of the seconds. Rows of {LARGER}-fold batches say what larger ones would bring there.
+    yield f"""In global illumination a batch has 2^16 paths, as eight points share one: too few to fill
+the GPU, so launches are most of the seconds. Rows of {LARGER}-fold batches say what larger ones would
+bring there.
 
 Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand points: the
 {H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of its peak the GPU
