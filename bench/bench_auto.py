@@ -1,10 +1,11 @@
 """What "auto" chose in scenes that no number was tuned on, what was best, and what the choice cost.
 
-Scenes are made by a seed (held_out.py). Each is rendered by method and visibility "auto", and by every
-way that "auto" chooses among: points, lines or slices, with a control variate and without. Errors are
+Scenes are made by a seed (held_out.py). Each is rendered by method and visibility "auto", and by the
+ways that "auto" chooses among: points, lines or slices, with a control variate and without. Errors are
 variances over renders of different seeds; seconds are the processor time of the process, the least over
-the seeds; all ways take turns. A choice's ratio: the seconds of the way that reaches its error first
-(`crossover.Curve`), over its own. 1 is best; below 0.95 from 16 samples on the rule is wrong.
+the seeds; all ways take turns. Renders of few samples, which take some milliseconds, have more seeds.
+A choice's ratio: the seconds of the way that reaches its error first (`crossover.Curve`), over its own.
+1 is best; below 0.95 from 16 samples on the rule is wrong.
 
 Global illumination has no lines of its own: its direct light is apart (`--split-direct`) or not.
 """
@@ -41,65 +42,97 @@ WAYS: dict[str, dict[str, dict[str, object]]] = {
     "gi": {
         "one part": {"method": "mc", "split_direct": "off"},
         "two parts": {"method": "mc"},
-        "one part, network": {"method": "ncv", "split_direct": "off"},
-        "two parts, network": {"method": "ncv"},
+        "network": {"method": "ncv"},
     },
 }
+# The ways that train, of which fewer numbers of samples are rendered.
+NETWORKS = ("points, network", "network")
 ENOUGH = 0.95
 # Of ambient occlusion, scene units: rooms are closed.
 RADIUS = 1.5
+# Kernels are compiled by a render of so many samples; slices are looked into from there on.
+WARM_SAMPLES = 64
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Points a side, numbers of samples, and renders of each."""
+    """Points a side by integrand, numbers of samples, and renders of each at least."""
 
-    size: int
+    sizes: dict[str, int]
     spps: tuple[int, ...]
     seeds: int
 
+    def renders(self, spp: int) -> int:
+        """How many of so many samples."""
+        return max(self.seeds, min(MOST_SEEDS, SEEDS_OF_SAMPLES // spp))
 
-FULL, QUICK = Plan(64, (16, 64), 2), Plan(16, (16, 64), 2)
+
+# Paths are noisy, and take the time of many lines.
+FULL = Plan({"direct": 96, "ao": 96, "gi": 64}, (16, 64, 256), 2)
+QUICK = Plan(dict.fromkeys(WAYS, 16), (16, 64), 2)
+MOST_SEEDS, SEEDS_OF_SAMPLES = 6, 128
 # Slices are few, and ways of fewer samples reach what "auto" does by more: both sides of its numbers.
 FACTORS = (0.25, 1, 4)
+
+
+def wanted_of(integrand: str, plan: Plan) -> dict[tuple[str, int], dict[str, object]]:
+    """Options by way and number of samples."""
+    wanted: dict[tuple[str, int], dict[str, object]] = {(AUTO, spp): {} for spp in plan.spps}
+    for name, options in WAYS[integrand].items():
+        few = integrand == "gi" or name in NETWORKS
+        factors = (1,) if few else FACTORS
+        numbers = {max(1, int(spp * factor)) for spp in plan.spps for factor in factors}
+        wanted |= {(name, number): options for number in sorted(numbers)}
+    return wanted
 
 
 def measure(device: Device, scene: ncv.Scene, integrand: str, plan: Plan) -> list[dict]:
     """A row of `against_the_better` for each number of samples."""
     asked = ncv.AmbientOcclusion(RADIUS) if integrand == "ao" else integrand
-    common = {"integrand": asked, "size": (plan.size, plan.size), "device": device}
-    wanted: dict[tuple[str, int], dict[str, object]] = {(AUTO, spp): {} for spp in plan.spps}
-    for name, options in WAYS[integrand].items():
-        numbers = {max(1, int(spp * factor)) for spp in plan.spps for factor in FACTORS}
-        wanted |= {(name, number): options for number in sorted(numbers)}
+    size = plan.sizes[integrand]
+    common = {"integrand": asked, "size": (size, size), "device": device}
+    wanted = wanted_of(integrand, plan)
     runs: dict[tuple[str, int], list[tuple[float, np.ndarray]]] = {}
-    left_out, chosen = set(), {}
-    for seed in range(plan.seeds + 1):
+    left_out, plans = set(), {}
+    most = max(plan.renders(spp) for _, spp in wanted)
+    # The first of few samples compiles kernels.
+    for seed in range(most + 1):
         for (name, spp), options in wanted.items():
-            if name in left_out:
+            if name in left_out or seed > plan.renders(spp):
                 continue
+            number = spp if seed else min(spp, WARM_SAMPLES)
             began = time.process_time()
             try:
-                image = ncv.render(scene, spp=spp, seed=seed, **common, **options)
+                image = ncv.render(scene, spp=number, seed=seed, **common, **options)
             except ValueError as error:
                 # A way that this scene does not allow, such as lines to many lights.
                 print(f"  without {name}: {error}")
                 left_out.add(name)
                 continue
-            # The first seed compiles kernels.
             if seed:
                 own = runs.setdefault((name, spp), [])
                 own.append((time.process_time() - began, image.pixels.astype(np.float64)))
                 if name == AUTO:
-                    chosen[spp] = image.stats["method"]
+                    plans[spp] = image.stats["auto"]
     rows = {key: summary(own) | {"spp": key[1], "stages": {}} for key, own in runs.items()}
     others = {
         name: Curve.of([row for (own, _), row in rows.items() if own == name])
         for name in WAYS[integrand]
         if name not in left_out
     }
-    own = [rows[AUTO, spp] | {"method": chosen[spp]} for spp in plan.spps]
-    return against_the_better(own, others)
+    own = [rows[AUTO, spp] | {"method": plans[spp]["method"]} for spp in plan.spps]
+    return [
+        row | {"chosen": way_of(runs, row["spp"]), "best": row["better"]} | plans[row["spp"]]
+        for row in against_the_better(own, others)
+    ]
+
+
+def way_of(runs: dict[tuple[str, int], list[tuple[float, np.ndarray]]], spp: int) -> str:
+    """The name of the way that "auto" took: the one whose picture is the same, bit for bit."""
+    _, own = runs[AUTO, spp][0]
+    same = [name for (name, n), found in runs.items() if n == spp and np.array_equal(found[0][1], own)]
+    # Of slices there are fewer than of samples that were asked for.
+    return next((name for name in same if name != AUTO), "slices")
 
 
 def summary(runs: list[tuple[float, np.ndarray]]) -> dict[str, object]:
@@ -128,8 +161,8 @@ def main() -> None:
                 results.append({"scene": name, "integrand": integrand, **row})
                 cells = ", ".join(f"{way} {ratio:.2f}" for way, ratio in row["ratios"].items())
                 print(
-                    f"{name:16} {integrand:6} {row['spp']:4} spp: {row['method']}, ratio "
-                    f"{min(row['ratio'], 1):.2f}, best {row['better']} ({cells})",
+                    f"{name:19} {integrand:6} {row['spp']:4} spp: {row['chosen']}, ratio "
+                    f"{min(row['ratio'], 1):.2f}, best {row['best']} ({cells})",
                     flush=True,
                 )
     ratios = np.minimum([row["ratio"] for row in results], 1)
@@ -139,7 +172,7 @@ def main() -> None:
         f"{wrong} of {len(ratios)} below {ENOUGH}"
     )
     if options.json:
-        found = {"device": device.identity, "size": plan.size, "rows": results}
+        found = {"device": device.identity, "sizes": plan.sizes, "rows": results}
         Path(options.json).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 

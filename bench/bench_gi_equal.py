@@ -112,7 +112,7 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", metavar="SCENE", help=f"default: {', '.join(CASES)}")
     parser.add_argument("--quick", action="store_true", help="one scene, small, few samples")
     parser.add_argument("--spp", type=int, help="default: 512, of allocations 128")
-    parser.add_argument("--size", type=int, default=96, help="points a side (default %(default)s)")
+    parser.add_argument("--size", type=int, default=80, help="points a side (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="renders of each (default %(default)s)")
     parser.add_argument("--allocations", action="store_true", help="compare allocations instead")
     parser.add_argument("--json", metavar="FILE", help="write the results here")

@@ -40,7 +40,8 @@ from ncv_cl.settings.schedule import Schedule
 FOLDERS = ("integrands", "visibility", "settings", "sampling", "learning", "estimation")
 # Found by a script of their own.
 KINDS = ("", "NOISY_", "LIGHT_")
-ELSEWHERE = (*(f"{kind}SAMPLES_THAT_PAY" for kind in KINDS), "SLICES_THAT_PAY", "QUICK_PATHS_THAT_PAY")
+PATHS_THAT_PAY = ("PATHS_THAT_PAY", "QUICK_PATHS_THAT_PAY")
+ELSEWHERE = (*(f"{kind}SAMPLES_THAT_PAY" for kind in KINDS), "SLICES_THAT_PAY", *PATHS_THAT_PAY)
 VALUES = {
     "HIDDEN": ((8, 8), (16, 8), (16, 16)),
     "WIDE_HIDDEN": ((8, 8), (16, 16), (24, 24)),
@@ -141,6 +142,10 @@ TRIALS = {
     "MOST_REFUSED": SLICED,
     "MOST_RAYS_A_SLICE": replace(SLICED, options={"method": "mc", "sampler": "independent"}),
     "SAMPLES_A_TRIANGLE": SLICED,
+    "MANY_TRIANGLES": replace(SLICED, spp=16),
+    "LEAST_RAYS_OF_MANY": replace(SLICED, spp=16),
+    "LIGHTS_OF_A_NETWORK": Trial((("lit_mesh", "gi"),), spp=256, options={"method": "auto"}),
+    "LOBES_OF_A_NETWORK": Trial((("veach_plates", "gi"),), spp=512, options={"method": "auto"}),
     "MOST_CASTERS": Trial((("cornell_box cut", "gi"),), options=PLAIN),
     "DIRECT_SAMPLES": APART,
     "DIRECT_ERROR": APART,

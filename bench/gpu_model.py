@@ -24,10 +24,13 @@ SHOWN = 0.01
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--record", action="store_true", help="count anew")
+    names = [case.name for case in gpu_record.CASES]
+    parser.add_argument(
+        "--record", nargs="*", choices=names, metavar="RENDER", help="count anew; all by default"
+    )
     options = parser.parse_args(arguments)
-    if options.record:
-        gpu_record.write(gpu_record.record())
+    if options.record is not None:
+        gpu_record.record(options.record)
     PAGE.write_text(page(gpu_record.read()), encoding="utf-8")
     return 0
 
@@ -116,9 +119,8 @@ def cpu_seconds(case: dict) -> float:
 def comparison(predictions: dict) -> Iterator[str]:
     """What two cores take beside it, and what that says of when a GPU pays."""
     peaks = H100.peak / CPU_PEAK
-    low, high = gpu_record.TIMED_SIZES
-    yield f"""Two cores of a CPU (AVX-512), continued in the same way from renders of {low} and {high}
-points a side. The {H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of
+    yield f"""Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand
+points. The {H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of
 its peak the GPU reaches: one whose peak is so many times a CPU's takes as long as that. `choose_device`
 takes a GPU from a ratio of peaks on that stands in `ncv_cl/opencl/prefer.py` (`LEAST_ADVANTAGE`).
 """

@@ -11,7 +11,8 @@ import json
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ import ncv_cl as ncv
 from ncv_cl.opencl import program
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import GPU_LANES, Device, open_device
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.sampling import samples
 from ncv_cl.visibility import tuning as visibility_tuning
 
@@ -32,7 +34,7 @@ SPP = 256
 # Pixels along a side: of counted renders, whose batches are smaller, so that a few of them are enough to
 # tell what a batch takes; and of those that are timed on the CPU.
 COUNTED_SIZES, COUNTED_BATCH = (32, 64), 1 << 17
-TIMED_SIZES = (64, 128)
+TIMED_SIZES = (48, 96)
 
 
 @dataclass(frozen=True)
@@ -55,37 +57,59 @@ class Case:
 
 CASES = (
     Case("Cornell box, direct", "cornell_box", "direct", "device", (10, 64)),
-    Case("knot, ao", "knot", "ao", "device", (6, 256)),
-    Case("interior, gi, rays by kernels", "interior", "gi", "device", (5, 16)),
-    Case("interior, gi, rays by embree", "interior", "gi", "embree", (6, 16)),
+    Case("knot, ao", "knot", "ao", "device", (5, 256)),
+    Case("interior, gi, rays by kernels", "interior", "gi", "device", (4, 16)),
+    Case("interior, gi, rays by embree", "interior", "gi", "embree", (4, 16)),
 )
 
 
-def record(quick: bool = False) -> dict:
-    """Measure all cases; takes minutes, most of them in the simulator."""
+def record(names: Sequence[str] = ()) -> None:
+    """Measure cases, all by default, and write `FILE` after each; takes minutes, most of it simulated."""
     cpu = choose_device()
-    gpu_shape = open_device(cpu.cl_device, cpu.index, 1, GPU_LANES)
-    found = {}
-    for case in CASES[:1] if quick else CASES:
-        print(case.name, flush=True)
-        with pytest.MonkeyPatch.context() as patch:
-            # Slices are taken of an image of any size, as of a large one.
-            patch.setattr(visibility_tuning, "SAMPLES_A_TRIANGLE", 0)
-            rows = counted(case, gpu_shape, patch)
-            found[case.name] = {
-                "scene": case.scene,
-                "integrand": case.integrand,
-                "rays": case.rays,
-                "counted": rows,
-                "occupancy": occupancies(gpu_shape, rows),
-                "cpu": on_cpu(case, cpu),
-                "work": {name: asdict(one) for name, one in simulated(case).items()},
-            }
-    return {"device": cpu.identity, "spp": SPP, "batch": COUNTED_BATCH, "cases": found}
+    found: dict = {"device": cpu.identity, "spp": SPP, "batch": COUNTED_BATCH, "cases": {}}
+    if names:
+        found["cases"] = read()["cases"]
+    for case in CASES:
+        if not names or case.name in names:
+            print(case.name, flush=True)
+            found["cases"][case.name] = measured(case, cpu, found["cases"])
+            FILE.write_text(json.dumps(found, indent=1, default=_plain) + "\n", encoding="utf-8")
 
 
-def simulated(case: Case) -> dict:
-    return count(case.scene, case.integrand, case.rays, *case.simulated)
+def measured(case: Case, cpu: Device, others: dict[str, dict]) -> dict:
+    """All of one case; what another of the same scene has found is not measured again."""
+    other = next(
+        (one for name, one in others.items() if name != case.name and one["scene"] == case.scene), {}
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        # Slices are taken of an image of any size, as of a large one.
+        patch.setattr(visibility_tuning, "SAMPLES_A_TRIANGLE", 0)
+        shaped = as_a_gpu(cpu)
+        rows = counted(case, shaped, patch)
+        occupancy = other.get("occupancy", {})
+        if not set(rows[-1]["kernels"]) <= set(occupancy):
+            occupancy = occupancies(shaped, rows)
+        cpu_rows = other.get("cpu") or on_cpu(case, cpu)
+    work = other.get("work", {})
+    if not set(rows[-1]["kernels"]) <= set(work):
+        simulated = count(case.scene, case.integrand, case.rays, *case.simulated)
+        work = {name: asdict(one) for name, one in simulated.items()}
+    return {
+        "scene": case.scene,
+        "integrand": case.integrand,
+        "rays": case.rays,
+        "counted": rows,
+        "occupancy": occupancy,
+        "cpu": cpu_rows,
+        "work": work,
+    }
+
+
+def as_a_gpu(device: Device) -> Device:
+    """A CPU in the shape of a GPU, as if it had memory of its own: what is copied is counted."""
+    shaped = open_device(device.cl_device, device.index, 1, GPU_LANES)
+    memory = device.memory
+    return replace(shaped, memory=DeviceMemory(False, memory.largest, memory.total, memory.name))
 
 
 def render(case: Case, device: Device, side: int, seed: int = 1) -> ncv.Image:
@@ -126,16 +150,13 @@ def row_of(side: int, counts: Counts, host_seconds: float, rays: int) -> dict:
 
 
 def on_cpu(case: Case, device: Device) -> list[dict]:
-    """Processor seconds in the CPU's own shape, the least of two renders."""
+    """Processor seconds in the CPU's own shape."""
     render(case, device, TIMED_SIZES[0], seed=0)
     rows = []
     for side in TIMED_SIZES:
-        seconds = []
-        for seed in (1, 2):
-            begun = time.process_time()
-            render(case, device, side, seed)
-            seconds.append(time.process_time() - begun)
-        rows.append({"pixels": side * side, "seconds": min(seconds)})
+        begun = time.process_time()
+        render(case, device, side)
+        rows.append({"pixels": side * side, "seconds": time.process_time() - begun})
     return rows
 
 
@@ -158,10 +179,6 @@ def occupancies(device: Device, counts: list[dict]) -> dict[str, dict]:
                     if known is None or row.occupancy < known["occupancy"]:
                         found[row.kernel] = asdict(row)
     return found
-
-
-def write(found: dict) -> None:
-    FILE.write_text(json.dumps(found, indent=1, default=_plain) + "\n", encoding="utf-8")
 
 
 def _plain(value: object) -> float:

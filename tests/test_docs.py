@@ -34,6 +34,8 @@ FILE = re.compile(r"(?:# |/\* )(\w+\.(?:py|cl))\b")
 COMMAND = re.compile(r"^\s*(?:ncv-cl|pip|python\d?|pytest|import|from) ", re.MULTILINE)
 # Blocks by page that need what a test does not have.
 NOT_RUN = {"README.md": 1, "docs/benchmarks.md": 1, "docs/clusters.md": 3, "docs/import.md": 1}
+# Pages that have a test of their own.
+OWN_TESTS = ("docs/python.md", "docs/integrands.md")
 # Renders of the pages in which pictures are not looked at.
 SIZE = (16, 12)
 
@@ -124,7 +126,7 @@ def test_blocks_that_are_not_run_say_why():
         assert len(fences) == 2 * len(blocks(page)), page
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/python.md"])
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in OWN_TESTS])
 def test_blocks_of_a_page_run(folder, small, page, capsys):
     run(page)
     if page == "README.md":
@@ -134,13 +136,18 @@ def test_blocks_of_a_page_run(folder, small, page, capsys):
         assert 0 < worst < 0.05
 
 
-def test_the_page_on_python_does_what_it_says(folder, one_device, capsys):
-    found = run("docs/python.md")
-    for picture in ("ring.png", "cone.png", "knot_cone.png"):
-        assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
+def test_the_page_on_python_does_what_it_says(folder, capsys):
+    run("docs/python.md")
+    assert (folder / "ring.png").read_bytes()[:4] == b"\x89PNG"
     code = "".join(block.text for block in blocks("docs/python.md"))
     promised, printed = re.findall(r"print\(.*?\)  # (.*)", code), capsys.readouterr().out
     assert promised and all(text in printed for text in promised)
+
+
+def test_the_page_on_integrands_does_what_it_says(folder, one_device):
+    found = run("docs/integrands.md")
+    for picture in ("cone.png", "knot_cone.png"):
+        assert (folder / picture).read_bytes()[:4] == b"\x89PNG"
     # Within its own deviation the control variate is what plain Monte Carlo finds.
     image, cone = found["image"], found["Cone"]
     plain, _ = render_plain(one_device, found["scene"], cone(half_angle=45), (64, 48), 256)

@@ -9,10 +9,12 @@ from types import SimpleNamespace
 import pytest
 from test_determinism import assert_same_bits
 
-from ncv_cl import render
+from ncv_cl import load_scene, render
 from ncv_cl.estimation import tuning
-from ncv_cl.estimation.method import choose_method, kind_of
+from ncv_cl.estimation.method import choose_method, kind_of, noise_that_stays
 from ncv_cl.integrands import INTEGRANDS
+from ncv_cl.points.points import find_points
+from ncv_cl.points.trace import Tracer
 from ncv_cl.settings.options import Sampling
 from ncv_cl.settings.settings import Settings
 
@@ -22,7 +24,7 @@ KINDS = {
     ("ao", "sobol", "lines"): "SLICES_THAT_PAY",
     ("direct", "sobol", "auto"): "LIGHT_SAMPLES_THAT_PAY",
     ("gi", "sobol", "auto"): "QUICK_PATHS_THAT_PAY",
-    ("gi", "sobol", "embree"): "NOISY_SAMPLES_THAT_PAY",
+    ("gi", "sobol", "embree"): "PATHS_THAT_PAY",
     ("ao", "independent", "points"): "NOISY_SAMPLES_THAT_PAY",
     ("ao", "independent", "lines"): "NOISY_SAMPLES_THAT_PAY",
     ("direct", "independent", "auto"): "NOISY_SAMPLES_THAT_PAY",
@@ -46,7 +48,9 @@ def choose(integrand, sampler, visibility, spp, points):
     )
     sliced = is_sliced(integrand, visibility)
     source = SimpleNamespace(by_kernels=is_by_kernels(integrand, visibility))
-    problem = SimpleNamespace(points=SimpleNamespace(active=points), sliced=sliced, source=source)
+    problem = SimpleNamespace(
+        points=SimpleNamespace(active=points), sliced=sliced, source=source, no_network=None
+    )
     return choose_method(problem, settings)
 
 
@@ -87,6 +91,43 @@ def test_the_rule_counts_samples_of_lit_points(integrand, sampler, visibility):
     assert choose(integrand, sampler, visibility, spp, points)[0] == "ncv"
     assert choose(integrand, sampler, visibility, spp, points - 1)[0] == "mc"
     assert choose(integrand, sampler, visibility, points, spp)[0] == "ncv"
+
+
+# Words of the reason, and the number that would allow a network.
+NOISY_SCENES = {
+    "glass": ("glass", None),
+    "sky_room": ("outside", None),
+    "lit_mesh": ("lights", "LIGHTS_OF_A_NETWORK"),
+    "veach_plates": ("lobes", "LOBES_OF_A_NETWORK"),
+}
+
+
+@pytest.mark.parametrize("scene", [*NOISY_SCENES, "interior"])
+def test_paths_that_keep_their_noise_get_no_network(one_device, scenes, monkeypatch, scene):
+    """However many there are."""
+    for name in ("PATHS_THAT_PAY", "QUICK_PATHS_THAT_PAY", "NOISY_SAMPLES_THAT_PAY"):
+        monkeypatch.setattr(tuning, name, 0)
+    options = {"size": (8, 8), "spp": 4, "device": one_device}
+    found = render(scenes / f"{scene}.toml", "gi", **options)
+    if scene == "interior":
+        assert found.stats["auto"]["method"] == "ncv"
+        return
+    word, number = NOISY_SCENES[scene]
+    assert found.stats["auto"]["method"] == "mc" and word in found.stats["auto"]["reason"]
+    assert_same_bits(found, render(scenes / f"{scene}.toml", "gi", "mc", **options))
+    if number is not None:
+        monkeypatch.setattr(tuning, number, 1e3)
+        assert render(scenes / f"{scene}.toml", "gi", **options).stats["auto"]["method"] == "ncv"
+
+
+def test_what_no_paths_lead_through_says_nothing_of_networks(one_device, scenes):
+    """Glass and skies count for paths alone; a network that is wanted is trained nonetheless."""
+    scene = load_scene(scenes / "sky_room.toml")
+    points = find_points(one_device, scene, Tracer(scene), 8, 8)
+    assert noise_that_stays(scene, INTEGRANDS["gi"](), points) is not None
+    assert noise_that_stays(scene, INTEGRANDS["direct"](), points) is None
+    options = {"size": (8, 8), "spp": 4, "device": one_device}
+    assert render(scene, "gi", "ncv", **options).stats["method"] == "ncv"
 
 
 def test_dark_points_and_the_background_do_not_count(one_device, scenes, monkeypatch):

@@ -57,6 +57,16 @@ def test_slices_that_are_refused_or_dear_are_left():
 
 def test_boxes_are_not_built_for_few_samples():
     assert boxes_pay(32, 1000, tuning.FEWEST_SLICES) and not boxes_pay(32, 1000, 4)
+    least = math.ceil(tuning.FEWEST_SLICES * tuning.LEAST_RAYS_OF_MANY)
+    many = tuning.MANY_TRIANGLES
+    assert boxes_pay(many, 10000, least - 1) and boxes_pay(many + 1, 10000, least)
+    assert not boxes_pay(many + 1, 10000, least - 1)
+    # What is not looked into would have been left.
+    for sampler in SAMPLERS:
+        cost = SliceCost(
+            (tuning.LEAST_RAYS_OF_MANY - tuning.RAYS_A_SLICE) / tuning.RAYS_A_LEAF + 0.01, 0
+        )
+        assert slices_for(least - 1, cost, sampler) == 0
     assert boxes_pay(1000, tuning.SAMPLES_A_TRIANGLE, 1000)
     assert not boxes_pay(1001, tuning.SAMPLES_A_TRIANGLE, 1000)
 

@@ -132,6 +132,8 @@ def test_the_rules_script_measures_and_prints_every_number(one_device, capsys):
         ("cornell_box", "gi", "embree"),
     ):
         rows += bench_method.measure(one_device, case, 8, "sobol", plan, time.process_time)
+    independent = ("cornell_box", "direct"), 8, "independent"
+    rows += bench_method.measure(one_device, *independent, plan, time.process_time)
     for row in rows:
         assert row["samples"] % row["spp"] == 0 and row["mc mse"] > 0 and row["ncv mse"] > 0
         assert 0 < row["mc"] <= 1 and 0 < row["ncv"] <= 1

@@ -5,7 +5,7 @@
  * be on the side of it that shines. Suns are as far as any.
  *
  * `wide` is double where the device has it (WIDE_DOUBLE). In float a point is dark only if it is by more than
- * rounding may be, MARGIN of the terms: points that are only just dark are sampled then, for nothing.
+ * rounding may be, MARGIN of the terms (0 in double): points that are only just dark are sampled, for nothing.
  *
  * Memory layout: `surface` as in surface.cl; lights of DARK_LIGHT_FLOATS numbers, suns of DARK_SUN_FLOATS,
  * see dark.py.
@@ -36,11 +36,7 @@ wide dot_wide(const WideVector a, const WideVector b) { return a.x * b.x + a.y *
 
 /* What rounding may have made of the product of two vectors. */
 wide doubt(const WideVector a, const WideVector b) {
-#if WIDE_DOUBLE
-  return (wide)0;
-#else
-  return MARGIN * (fabs(a.x * b.x) + fabs(a.y * b.y) + fabs(a.z * b.z));
-#endif
+  return (wide)MARGIN * (fabs(a.x * b.x) + fabs(a.y * b.y) + fabs(a.z * b.z));
 }
 
 /* Whether all of a light is behind the plane through a point. */

@@ -16,11 +16,6 @@
  * Work-group contract: none; pure functions of private values.
  */
 
-/* Calls cost more than these functions' own arithmetic, and compilers count several kernels' calls of them. */
-#ifndef INLINED
-#define INLINED __attribute__((always_inline))
-#endif
-
 /* A light from a position: its plane's distance, where lines along edge2 begin and end across it, and where the first
  * of them begins along it. */
 typedef struct {

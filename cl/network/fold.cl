@@ -37,6 +37,7 @@ void fold_group(const uint rows, const uint first, const uint end, const float *
       real sum[POINT_BLOCK];
 #pragma unroll
       for (uint p = 0; p < POINT_BLOCK; ++p) sum[p] = LOAD(heads + FEATURES * FOLD_ROWS + row);
+      UNROLL_FOR_LANES
       for (uint f = 0; f < FEATURES; ++f) {
         const real head = LOAD(heads + f * FOLD_ROWS + row);
 #pragma unroll

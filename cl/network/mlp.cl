@@ -56,7 +56,7 @@ bool is_constant(const PointNetwork *network) {
 }
 
 /* g at VEC samples. Inner loops are unrolled so that activations can live in registers. */
-void network_value(const PointNetwork *network, const real u, const real v, real value[CHANNELS]) {
+INLINED void network_value(const PointNetwork *network, const real u, const real v, real value[CHANNELS]) {
   real h1[HIDDEN1];
 #pragma unroll
   for (int j = 0; j < HIDDEN1; ++j) {

@@ -14,6 +14,9 @@
  * Work-group contract: none; these are pure functions of private values.
  */
 
+/* Calls cost more than some functions' own arithmetic, and compilers count several kernels' calls of them. */
+#define INLINED __attribute__((always_inline))
+
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
 

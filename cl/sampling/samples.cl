@@ -32,6 +32,24 @@
  * neighbours write to neighbouring memory.
  */
 
+/* VEC samples of a point from number `first` on, as they are kept; `own` is the point's number in the image. */
+void draw_block(const uint own, const uint first, const uint stream, const uint seed_low, const uint seed_high,
+#if WARPED
+                global const uint *record, global float *restrict weight,
+#endif
+                global float *restrict u, global float *restrict v, real *own_u, real *own_v) {
+#if SLICES
+  sample_azimuths(own, LANE_NUMBER + first, stream, seed_low, seed_high, own_u, own_v);
+#else
+  sample_square(own, LANE_NUMBER + first, stream, seed_low, seed_high, own_u, own_v);
+#endif
+#if WARPED
+  STORE(warp_square(record, own_u, own_v), weight);
+#endif
+  STORE(*own_u, u);
+  STORE(*own_v, v);
+}
+
 kernel void draw_samples(const uint first_point, const uint point_count, const uint total_points,
                          const uint first_id, const uint first_sample, const uint sample_count, const uint stride,
                          const uint stream, const uint seed_low, const uint seed_high,
@@ -65,32 +83,36 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   const ulong plane = (ulong)point_count * stride;
   const ShadingPoint p = load_shading_point(surface, total_points, point);
 
+#if WARPED
+  global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
+#define DRAW_BLOCK draw_block(point + first_id, block * VEC + first_sample, stream, seed_low, seed_high, record, \
+                              weight + at, u + at, v + at, &own_u, &own_v)
+#else
+#define DRAW_BLOCK \
+  draw_block(point + first_id, block * VEC + first_sample, stream, seed_low, seed_high, u + at, v + at, &own_u, &own_v)
+#endif
+#if LINES
   float sample_u[BLOCKS_A_ITEM * VEC], sample_v[BLOCKS_A_ITEM * VEC];
   uint own_blocks = 0;
-  for (uint block = first_block; block < blocks; block += items_a_point) {
+  UNROLL_FOR_LANES
+  for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
+    const uint block = first_block + k * items_a_point;
+    if (block >= blocks) continue;
     const ulong at = (ulong)local_point * stride + block * VEC;
     real own_u, own_v;
-#if SLICES
-    sample_azimuths(point + first_id, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
-#else
-    sample_square(point + first_id, LANE_NUMBER + (block * VEC + first_sample), stream, seed_low, seed_high, &own_u, &own_v);
-#endif
-#if WARPED
-    global const uint *record = density + (ulong)RECORD_NUMBER(point, local_point) * DENSITY_WORDS;
-    STORE(warp_square(record, &own_u, &own_v), weight + at);
-#endif
-    STORE(own_u, u + at);
-    STORE(own_v, v + at);
-    STORE(own_u, sample_u + own_blocks * VEC);
-    STORE(own_v, sample_v + own_blocks * VEC);
+    DRAW_BLOCK;
+    STORE(own_u, sample_u + k * VEC);
+    STORE(own_v, sample_v + k * VEC);
     ++own_blocks;
   }
+#endif
 #if SHAFTS
   global const uint *restrict own_occluders = occluders + starts[point];
 #endif
 #if LINES
   float share[BLOCKS_A_ITEM * VEC];
   int refused[BLOCKS_A_ITEM * VEC];
+  UNROLL_FOR_LANES
   for (uint k = 0; k < BLOCKS_A_ITEM * VEC; ++k) {
     share[k] = 1.0f;
     refused[k] = 0;
@@ -105,6 +127,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   real distance[BLOCKS_A_ITEM];
   whole live[BLOCKS_A_ITEM];
   uint count = 0;
+  UNROLL_FOR_LANES
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
     const uint block = first_block + k * items_a_point;
     live[k] = (whole)0;
@@ -112,20 +135,27 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     if (block >= blocks) continue;
     const ulong at = (ulong)local_point * stride + block * VEC;
     const bits index = LANE_NUMBER + block * VEC;
+    real own_u, own_v;
+#if LINES
+    own_u = LOAD(sample_u + k * VEC);
+    own_v = LOAD(sample_v + k * VEC);
+#else
+    DRAW_BLOCK;
+#endif
     real sample_value[CHANNELS];
 #if SLICES
     const whole is_sample = (index < sample_count);
     const whole refused = slice_integrals(&p, integrand_data[0], unit, levels, boxes, triangles, is_sample,
-                                          LOAD(sample_v + k * VEC), sample_value);
+                                          own_v, sample_value);
     if (ANY(refused)) {
       real at_u[CHANNELS];
-      evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), at_u, direction[k],
+      evaluate_integrand(&p, integrand_data, own_u, own_v, at_u, direction[k],
                          &distance[k]);
       sample_value[0] = SELECT(sample_value[0], at_u[0], refused);
       atomic_add(ray_count + 2, popcount(lane_mask(refused)));
     }
 #else
-    evaluate_integrand(&p, integrand_data, LOAD(sample_u + k * VEC), LOAD(sample_v + k * VEC), sample_value, direction[k], &distance[k]);
+    evaluate_integrand(&p, integrand_data, own_u, own_v, sample_value, direction[k], &distance[k]);
 #endif
     for (uint channel = 0; channel < CHANNELS; ++channel) {
 #if LINES
@@ -152,6 +182,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
     if (!moves)
 #endif
       close_blocked(own_occluders, triangles, origin, direction, live);
+    UNROLL_FOR_LANES
     for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
       const uint block = first_block + k * items_a_point;
       if (block < blocks)
@@ -163,6 +194,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
 #endif
 #if SLICES || LINES
   uint rays = 0;
+  UNROLL_FOR_LANES
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
 #if LINES
     live[k] = live[k] && LOAD(refused + k * VEC);
@@ -178,6 +210,7 @@ kernel void draw_samples(const uint first_point, const uint point_count, const u
   const uint rays = count;
 #endif
   uint next = rays > 0 ? atomic_add(ray_count, rays) : 0u;
+  UNROLL_FOR_LANES
   for (uint k = 0; k < BLOCKS_A_ITEM; ++k) {
     const uint block = first_block + k * items_a_point;
     if (block >= blocks) continue;

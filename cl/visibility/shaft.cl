@@ -73,9 +73,10 @@ void shaft_planes(const ShadingPoint *p, global const float *restrict light, con
   plane[5].limit = 0.5f * p->offset;
 }
 
-/* Which boxes of a node reach into the shaft: a bit each. */
+/* Which boxes of a node reach into the shaft: a bit each. All at once would take the registers of a GPU's other warps. */
 uint boxes_in_shaft(const Plane plane[SHAFT_PLANES], const float3 origin, global const float *restrict node) {
   uint found = 0;
+#pragma unroll 4
   for (uint block = 0; block < CHILDREN; block += VEC) {
     global const float *restrict boxes = node + block;
     whole inside = (whole)-1;
@@ -114,6 +115,7 @@ uint triangles_inside(const Plane *plane, const uint planes, const triple corner
 /* Which triangles of a leaf reach into the shaft. */
 uint triangles_in_shaft(const Plane plane[SHAFT_PLANES], const float3 origin, global const float *restrict leaf) {
   uint found = 0;
+#pragma unroll 4
   for (uint block = 0; block < CHILDREN; block += VEC) {
     triple corner[3];
     for (uint c = 0; c < 3; ++c) corner[c] = leaf_corner(leaf + block, c, origin);
@@ -144,11 +146,18 @@ uint triangles_in_shafts(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const flo
   return any;
 }
 
-/* Counts the triangles that reach into some shaft, and lists the first `most`; returns TOO_MANY if there are more and not
- * `all_counted`. */
+/* A lane of a GPU has no memory of its own for a list: it counts first, then walks again and lists where there is room. */
+#if VEC == 1
+#define OWN_LIST global uint *
+#else
+#define OWN_LIST uint *
+#endif
+
+/* Counts the triangles that reach into some shaft, and lists the first `most` in `own`, if that is not null; returns
+ * TOO_MANY if there are more and not `all_counted`. */
 uint list_occluders(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 origin, const uint most,
                     const bool all_counted, const uint triangle_count, global const uint *restrict levels, global const float *restrict boxes,
-                    global const float *restrict triangles, uint own[MOST_OCCLUDERS]) {
+                    global const float *restrict triangles, OWN_LIST own) {
   uint in_shaft[BOX_LEVELS][LIGHT_COUNT], found[BOX_LEVELS], node[BOX_LEVELS];
   uint all[LIGHT_COUNT];
   for (uint light = 0; light < LIGHT_COUNT; ++light) all[light] = 1u;
@@ -172,10 +181,8 @@ uint list_occluders(const Plane plane[LIGHT_COUNT][SHAFT_PLANES], const float3 o
       const uint triangle = child * CHILDREN + take_lowest(&met);
       /* The last leaf is filled up. */
       if (triangle >= triangle_count) break;
-      if (count < most)
-        own[count] = triangle;
-      else if (!all_counted)
-        return TOO_MANY;
+      if (count >= most && !all_counted) return TOO_MANY;
+      if (count < most && own != 0) own[count] = triangle;
       ++count;
     }
   }
@@ -194,7 +201,11 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
   Plane plane[LIGHT_COUNT][SHAFT_PLANES];
   for (uint light = 0; light < LIGHT_COUNT; ++light)
     shaft_planes(&p, lights + light * LIGHT_FLOATS, tolerance, plane[light]);
+#if VEC == 1
+  OWN_LIST own = 0;
+#else
   uint own[MOST_OCCLUDERS];
+#endif
   const bool all_counted = point % counted_step == 0;
   uint count =
       list_occluders(plane, ray_origin(&p), most, all_counted, triangle_count, levels, boxes, triangles, own);
@@ -212,7 +223,11 @@ kernel void find_occluders(const uint point_count, const uint total_points, cons
   if (start >= capacity || count >= capacity - start) return;
   starts[point] = start;
   occluders[start] = count;
+#if VEC == 1
+  list_occluders(plane, ray_origin(&p), most, false, triangle_count, levels, boxes, triangles, occluders + start + 1);
+#else
   for (uint k = 0; k < count; ++k) occluders[start + 1 + k] = own[k];
+#endif
 }
 
 /* a x b, exactly the negative of b x a: no product may be fused into the difference. */

@@ -5,9 +5,37 @@ from __future__ import annotations
 import math
 
 from ..integrands import Integrand
+from ..integrands.environment import has_environment
+from ..integrands.light_sources import light_sources
+from ..points.points import ShadingPoints
 from ..sampling.problem import Problem
+from ..scene.load import Scene
 from ..settings.settings import Settings
 from . import tuning
+
+
+def noise_that_stays(scene: Scene, integrand: Integrand, points: ShadingPoints) -> str | None:
+    """Why paths in a scene keep a noise that no function of (u, v) takes off, in words; or None.
+
+    A control variate of paths takes twice the time of plain ones, and pays by leaving a third or less of
+    their variance. Where glass bends paths it leaves most, or adds to it: what little of a density goes
+    towards a caustic is weighed the more. Light from outside, and that of many lights, is a function of
+    the direction too detailed for a small network. Where lobes reflect more than matte parts do, most
+    noise is that of highlights.
+    """
+    if not integrand.nested or not points.active:
+        return None
+    if scene.has_glass:
+        return "paths through glass keep their noise"
+    if has_environment(scene):
+        return "paths keep the noise of light from outside"
+    lights = len(light_sources(scene).lights.strip)
+    if lights > tuning.LIGHTS_OF_A_NETWORK:
+        return f"{lights} lights are more than {tuning.LIGHTS_OF_A_NETWORK}: paths keep their noise"
+    albedo, lobes = (points.rows(name)[:, : points.active].mean() for name in ("albedo", "reflectance"))
+    if lobes > tuning.LOBES_OF_A_NETWORK * albedo:
+        return "lobes reflect more than matte parts do: paths keep the noise of highlights"
+    return None
 
 
 def kind_of(integrand: Integrand, sampler: str, sliced: bool = False, by_kernels: bool = False) -> str:
@@ -23,15 +51,15 @@ def kind_of(integrand: Integrand, sampler: str, sliced: bool = False, by_kernels
     Notes
     -----
     The error of independent samples, and of paths, which add noise of their own, falls no faster than by
-    one over the number of samples: a smaller variance soon pays. Sobol points do better, and best where
-    rays end on the lights: testing these is cheap, and most points see all of a light or nothing of it.
-    Paths that kernels trace take so little time that what a network costs at each point pays only with
-    many of them at a point.
+    one over the number of samples: a smaller variance soon pays, and soonest that of paths, which take
+    the most time. Sobol points do better, and best where rays end on the lights: testing these is cheap,
+    and most points see all of a light or nothing of it. Paths that kernels trace take so little time
+    that what a network costs at each point pays only with many of them at a point.
     The error of equidistant slices falls so fast that as many as a network trains on leave it nothing.
     """
-    if integrand.nested and by_kernels:
-        return "QUICK_PATHS_THAT_PAY"
-    if integrand.nested or sampler == "independent":
+    if integrand.nested:
+        return "QUICK_PATHS_THAT_PAY" if by_kernels else "PATHS_THAT_PAY"
+    if sampler == "independent":
         return "NOISY_SAMPLES_THAT_PAY"
     if sliced:
         return "SLICES_THAT_PAY"
@@ -43,6 +71,8 @@ def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
 
     Training takes about the same time for every image, and what it takes off grows with the samples.
     """
+    if problem.no_network is not None:
+        return "mc", problem.no_network
     sampler = settings.sampling.sampler
     kind = kind_of(settings.integrand, sampler, problem.sliced, problem.source.by_kernels)
     enough = getattr(tuning, kind)
@@ -50,7 +80,7 @@ def choose_method(problem: Problem, settings: Settings) -> tuple[str, str]:
         what = "ambient occlusion by slices" if problem.sliced else "direct light by Sobol points"
         return "mc", f"{what} has too little noise for a control variate to pay"
     samples = float(settings.spp) * problem.points.active
-    words = "noisy samples" if kind.startswith("NOISY") else "samples"
+    words = {"NOISY_SAMPLES_THAT_PAY": "noisy samples", "PATHS_THAT_PAY": "paths"}.get(kind, "samples")
     if kind == "QUICK_PATHS_THAT_PAY":
         if settings.spp < enough:
             return "mc", f"{settings.spp} quick paths a point are less than {enough:.3g}"

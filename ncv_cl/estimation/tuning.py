@@ -33,14 +33,24 @@ import math
 #       mc       : ratio 1.00 at worst, 1.00 mean
 #       ncv      : ratio 0.14 at worst, 0.41 mean
 #
+# In `interior` paths pay from 1 << 18 on, and in rooms whose lobes reflect a seventh of what matte parts
+# do from 1 << 19 (python bench/bench_auto.py "polished room" --integrand gi).
+#
 # A ratio is the sooner method's seconds to the same error over those of what is chosen: 1 is best. With
 # 65536 samples a point of direct light, plain Monte Carlo's is 0.63 in the Cornell box, and the control
 # variate's 0.39 in `interior`. The table is bench/results/method.json (--table prints it).
 SAMPLES_THAT_PAY = 1 << 23
 NOISY_SAMPLES_THAT_PAY = 1 << 20
+PATHS_THAT_PAY = 1 << 19
 QUICK_PATHS_THAT_PAY = 1 << 9
 LIGHT_SAMPLES_THAT_PAY = math.inf
 SLICES_THAT_PAY = math.inf
+
+# Of paths, in whatever number: lights, beyond which a network leaves their noise, and what lobes reflect
+# over what matte parts do: python bench/bench_auto.py --integrand gi, and
+# of other values python bench/bench_tuning.py LIGHTS_OF_A_NETWORK LOBES_OF_A_NETWORK.
+LIGHTS_OF_A_NETWORK = 16
+LOBES_OF_A_NETWORK = 1.0
 
 # Samples go as this power of the residual's predicted magnitude. Independent samples would want 1, well
 # spread ones, whose error falls faster than 1 / n, a little less: python bench/bench_tuning.py

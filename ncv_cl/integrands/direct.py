@@ -136,7 +136,7 @@ def dark_defines(device: Device) -> dict[str, int | str]:
         **DARK_LIGHT.defines(),
         **DARK_SUN.defines(),
         "WIDE_DOUBLE": int(device.has_float64),
-        "MARGIN": f"{DARK_MARGIN!r}f",
+        "MARGIN": f"{0.0 if device.has_float64 else DARK_MARGIN!r}f",
     }
 
 

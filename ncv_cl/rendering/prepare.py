@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..estimation.direct import direct_samples
+from ..estimation.method import noise_that_stays
 from ..host.clock import Stopwatch
 from ..integrands import Integrand
 from ..integrands.emitted import emitted_light
@@ -168,6 +169,7 @@ def assemble(
         apart=apart,
         slices=choice,
         decisions=decisions,
+        no_network=noise_that_stays(scene, integrand, points) if settings.method == "auto" else None,
     )
 
 

@@ -87,6 +87,8 @@ class Problem:
         was looked into.
     decisions : Decisions
         How samples are drawn, decided by what was seen of all points.
+    no_network : str, optional
+        Why a network pays for no number of samples, in words, where that is known of the scene.
     carrier : object, optional
         Draws passes on other machines (`rendering.carried.carrier.Carrier`).
     """
@@ -103,6 +105,7 @@ class Problem:
     apart: Apart | None = None
     slices: SliceChoice | None = None
     decisions: Decisions = field(default_factory=lambda: Decisions())
+    no_network: str | None = None
     carrier: Any = None
 
     @property

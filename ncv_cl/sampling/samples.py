@@ -247,6 +247,8 @@ class SampleSource(Batches):
         if slices is not None:
             shaft, defines = ("slices",), {**defines, **slices.defines()}
             self._occluders = slices.arguments
+        if device.vector_width == 1:
+            defines["BLOCKS_A_ITEM"] = f"{visibility_tuning.LANE_BLOCKS}u"
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)

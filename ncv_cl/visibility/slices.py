@@ -60,9 +60,14 @@ class SliceChoice:
 
 
 def boxes_pay(triangles: int, points: int, spp: int) -> bool:
-    """Whether there are enough samples for slices to be looked into: boxes take time to build."""
+    """Whether there are enough samples for slices to be looked into.
+
+    Boxes take time to build. And what slices cost takes time to count, which is spared where as many
+    samples as are asked for never buy enough slices.
+    """
     enough = tuning.SAMPLES_A_TRIANGLE * triangles
-    return spp >= tuning.FEWEST_SLICES and points * spp >= enough
+    least = tuning.LEAST_RAYS_OF_MANY if triangles > tuning.MANY_TRIANGLES else 1.0
+    return spp >= tuning.FEWEST_SLICES * least and points * spp >= enough
 
 
 def slices_for(rays: int, cost: SliceCost, sampler: str) -> int:

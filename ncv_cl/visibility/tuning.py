@@ -12,6 +12,10 @@ MOST_LIGHTS = 8
 # Blocks of VEC rays of one point that one work-item draws and tests: python bench/bench_tuning.py
 # BLOCKS_A_ITEM.
 BLOCKS_A_ITEM = 4
+# The same of GPUs, whose lanes hold one ray or line each: with more, what is kept of each takes the
+# registers of a quarter of the warps, or of lines, whose free parts lie in memory, more of it than an L1
+# cache has for the warps that are resident: python tests/test_gpu_static.py.
+LANE_BLOCKS = 2
 # Triangles of a scene whose paths' rays are each tested against all of them instead of traced:
 # python bench/bench_tuning.py MOST_CASTERS, on a Cornell box cut into 128 triangles.
 MOST_CASTERS = 128
@@ -53,3 +57,8 @@ FEWEST_SLICES = 8
 MOST_REFUSED = 2.0
 MOST_RAYS_A_SLICE = 3.0
 SAMPLES_A_TRIANGLE = 64
+# Where there are more than so many triangles a slice takes the time of so many rays at least, of 3.1 to
+# 7.4 in rooms, on hills and among leaves, and is not looked at where so dear ones are too few: python
+# bench/bench_slices.py cost, python bench/bench_tuning.py MANY_TRIANGLES LEAST_RAYS_OF_MANY.
+MANY_TRIANGLES = 128
+LEAST_RAYS_OF_MANY = 3.0

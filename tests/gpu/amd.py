@@ -40,7 +40,7 @@ class Amd:
     """
 
     def __init__(self, arch: str) -> None:
-        self.arch = arch
+        self.archs = (arch,)
         folders = ("/usr/lib/*/amdgcn/bitcode", "/opt/rocm*/amdgcn/bitcode")
         folder = next((found for one in folders for found in glob.glob(one)), None)
         self.missing = None if CLANG and folder else "clang 15 or Debian's rocm-device-libs"
@@ -59,7 +59,15 @@ class Amd:
             for part in ("-Xclang", "-mlink-builtin-bitcode", "-Xclang", library)
         ]
         command = [
-            *(CLANG, "-x", "cl", "-cl-std=CL1.2", "-target", "amdgcn-amd-amdhsa", f"-mcpu={self.arch}"),
+            *(
+                CLANG,
+                "-x",
+                "cl",
+                "-cl-std=CL1.2",
+                "-target",
+                "amdgcn-amd-amdhsa",
+                f"-mcpu={self.archs[0]}",
+            ),
             *("-nogpulib", "-mcode-object-version=4", "-Xclang", "-finclude-default-header", "-O3"),
             *(*linked, "-S", "-o", "-", *options, "-"),
         ]
@@ -74,7 +82,7 @@ class Amd:
         return found
 
     def _row(self, name: str, block: str, group: int) -> Row:
-        registers, granule, waves, lanes, simds, local_memory = LIMITS[self.arch]
+        registers, granule, waves, lanes, simds, local_memory = LIMITS[self.archs[0]]
 
         def number_of(key: str) -> int:
             return int(re.search(rf"\.{key}:\s*(\d+)", block)[1])
@@ -89,6 +97,7 @@ class Amd:
         }
         bound = min(limits, key=limits.get)
         return Row(
+            self.archs[0],
             name,
             used,
             4 * number_of("vgpr_spill_count"),

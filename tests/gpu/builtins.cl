@@ -78,6 +78,7 @@ uint O convert_uint(float a) { return (uint)a; }
 uint O convert_uint(int a) { return (uint)a; }
 int O convert_int(float a) { return (int)a; }
 int O convert_int(uint a) { return (int)a; }
+double O convert_double(float a) { return (double)a; }
 float4 O vload_half4(size_t n, const global half *p) {
   p += 4 * n;
   return (float4)(__builtin_load_halff(p), __builtin_load_halff(p + 1), __builtin_load_halff(p + 2),

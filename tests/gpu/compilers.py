@@ -8,13 +8,15 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 from every_program import Built
 
 from ncv_cl.opencl import program
+
+from .forms import form_of, worst_programs
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Row:
 
     Attributes
     ----------
-    kernel : str
+    arch, kernel : str
     registers : int
         32-bit registers of a work-item.
     spilt, stack : int
@@ -36,8 +38,11 @@ class Row:
         The part of a multiprocessor's warps (of a SIMD's waves) that can be resident.
     bound : str
         What bounds that: warps, groups, registers, local.
+    form : str
+        Of the kernel, as `form_of` says it.
     """
 
+    arch: str
     kernel: str
     registers: int
     spilt: int
@@ -46,12 +51,18 @@ class Row:
     group: int
     occupancy: float
     bound: str
+    form: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of the kernel and its form."""
+        return f"{self.kernel} ({self.form})" if self.form else self.kernel
 
 
 class Compiler(Protocol):
-    """Compiles programs for one GPU."""
+    """Compiles programs for GPUs of one maker."""
 
-    arch: str
+    archs: tuple[str, ...]
     missing: str | None
 
     def rows(self, text: str, options: Sequence[str], groups: dict[str, int]) -> list[Row]: ...
@@ -93,24 +104,25 @@ def required_groups(text: str, options: Sequence[str]) -> dict[str, int]:
 
 
 def worst_rows(compiler: Compiler, programs: Sequence[Built], jobs: int) -> list[Row]:
-    """A row a launched kernel, of all its programs the one that takes most."""
+    """A row for each GPU and form of a launched kernel, of all its programs the one that takes most."""
 
     def compiled(one: Built) -> list[Row]:
         options = program.option_list(one.defines)
         try:
-            return compiler.rows(program.source(one.files), options, one.groups)
+            rows = compiler.rows(program.source(one.files), options, one.groups)
         except RuntimeError as error:
             names = " + ".join(str(file) for file in one.files)
-            raise RuntimeError(f"{names} for {compiler.arch}: {error}") from error
+            raise RuntimeError(f"{names} for {', '.join(compiler.archs)}: {error}") from error
+        return [replace(row, form=form_of(row.kernel, one)) for row in rows]
 
     with ThreadPoolExecutor(jobs) as pool:
-        rows = [row for found in pool.map(compiled, programs) for row in found]
-    worst: dict[str, Row] = {}
+        rows = [row for found in pool.map(compiled, worst_programs(programs)) for row in found]
+    worst: dict[tuple[str, str], Row] = {}
     for row in rows:
-        known = worst.setdefault(row.kernel, row)
+        known = worst.setdefault((row.arch, row.name), row)
         if _demand(row) > _demand(known):
-            worst[row.kernel] = row
-    return [worst[name] for name in sorted(worst)]
+            worst[row.arch, row.name] = row
+    return [worst[key] for key in sorted(worst)]
 
 
 def _demand(row: Row) -> tuple[float, ...]:

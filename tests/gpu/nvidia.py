@@ -19,11 +19,11 @@ LIBRARY = "nvvm/libdevice/libdevice.10.bc"
 
 
 class Nvidia:
-    """The compilers for one architecture.
+    """The compilers for some architectures: of PTX, which is the same for all, and of each one's code.
 
     Parameters
     ----------
-    arch : str
+    archs : tuple of str
         Of `LIMITS`.
     scratch : Path
         A folder for files on the way.
@@ -34,8 +34,8 @@ class Nvidia:
         What is not installed.
     """
 
-    def __init__(self, arch: str, scratch: Path) -> None:
-        self.arch, self._scratch = arch, scratch
+    def __init__(self, archs: tuple[str, ...], scratch: Path) -> None:
+        self.archs = archs
         site = [f"{path}/nvidia/*/bin/ptxas" for path in sys.path if path.endswith("-packages")]
         self._ptxas = find_tool("ptxas", "/usr/local/cuda*/bin/ptxas", *site)
         homes = ["/usr/local/cuda*", *(one.removesuffix("/bin/ptxas") for one in site)]
@@ -51,7 +51,7 @@ class Nvidia:
             *(CLANG, "-x", "cl", "-cl-std=CL1.2", "-target", "nvptx64-nvidia-nvcl"),
             *(part for flag in _FRONT for part in ("-Xclang", flag)),
         ]
-        self._builtins = scratch / f"builtins_{arch}.bc"
+        self._builtins = scratch / "builtins.bc"
         text = Path(__file__).with_name("builtins.cl").read_text(encoding="utf-8")
         run([*self._front, "-O2", "-c", "-emit-llvm", "-o", str(self._builtins), "-"], text)
 
@@ -67,12 +67,15 @@ class Nvidia:
                 ptx,
                 flags=re.DOTALL | re.MULTILINE,
             )
-        _, log = run([self._ptxas, "-v", f"-arch={self.arch}", "-", "-o", "/dev/null"], ptx)
+        return [row for arch in self.archs for row in self._rows_of(arch, ptx, groups)]
+
+    def _rows_of(self, arch: str, ptx: str, groups: dict[str, int]) -> list[Row]:
+        _, log = run([self._ptxas, "-v", f"-arch={arch}", "-", "-o", "/dev/null"], ptx)
         found = []
         for part in re.split(r"Compiling entry function ", log)[1:]:
             name = re.match(r"'(\w+)'", part)[1]
             if name in groups:
-                found.append(self._row(name, part, groups[name]))
+                found.append(_row(arch, name, part, groups[name]))
         return found
 
     def _back(self) -> list[str]:
@@ -81,33 +84,35 @@ class Nvidia:
         precision = ["-nvptx-prec-divf32=1", "-nvptx-prec-sqrtf32=0", "-inline-threshold=10000"]
         return ["-O3", *linked, *(part for flag in precision for part in ("-mllvm", flag))]
 
-    def _row(self, name: str, log: str, group: int) -> Row:
-        stack, stores, loads = map(
-            int,
-            re.search(
-                r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads", log
-            ).groups(),
-        )
-        shared = re.search(r"(\d+) bytes smem", log)
-        local = int(shared[1]) if shared else 0
-        registers = int(re.search(r"Used (\d+) registers", log)[1])
-        limits, warps = self._limits(registers, local, group)
-        bound = min(limits, key=limits.get)
-        occupancy = limits[bound] * -(-group // 32) / warps
-        return Row(name, registers, stores + loads, stack, local, group, occupancy, bound)
 
-    def _limits(self, registers: int, local: int, group: int) -> tuple[dict[str, int], int]:
-        """Groups of a multiprocessor by what bounds them, and its warps."""
-        all_registers, warps, groups, shared = LIMITS[self.arch]
-        warps_a_group = -(-group // 32)
-        registers_a_warp = -(-registers * 32 // 256) * 256
-        return {
-            "warps": warps // warps_a_group,
-            "groups": groups,
-            # The system keeps 1 KiB of each group's shared memory.
-            "local": shared // (-(-local // 128) * 128 + 1024),
-            "registers": all_registers // registers_a_warp // warps_a_group,
-        }, warps
+def _row(arch: str, name: str, log: str, group: int) -> Row:
+    stack, stores, loads = map(
+        int,
+        re.search(
+            r"(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads", log
+        ).groups(),
+    )
+    shared = re.search(r"(\d+) bytes smem", log)
+    local = int(shared[1]) if shared else 0
+    registers = int(re.search(r"Used (\d+) registers", log)[1])
+    limits, warps = _limits(arch, registers, local, group)
+    bound = min(limits, key=limits.get)
+    occupancy = limits[bound] * -(-group // 32) / warps
+    return Row(arch, name, registers, stores + loads, stack, local, group, occupancy, bound)
+
+
+def _limits(arch: str, registers: int, local: int, group: int) -> tuple[dict[str, int], int]:
+    """Groups of a multiprocessor by what bounds them, and its warps."""
+    all_registers, warps, groups, shared = LIMITS[arch]
+    warps_a_group = -(-group // 32)
+    registers_a_warp = -(-registers * 32 // 256) * 256
+    return {
+        "warps": warps // warps_a_group,
+        "groups": groups,
+        # The system keeps 1 KiB of each group's shared memory.
+        "local": shared // (-(-local // 128) * 128 + 1024),
+        "registers": all_registers // registers_a_warp // warps_a_group,
+    }, warps
 
 
 _FRONT = ("-target-cpu", "sm_80", "-target-feature", "+ptx75", "-finclude-default-header")

@@ -15,6 +15,8 @@ from ..document import Answer, Figure, Table, shown
 Results = Mapping[str, dict]
 # From here to its inverse two ways are called equally fast.
 EVEN = 1.05
+# Of a list in a sentence.
+LONGEST = 8
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ def span(values: Sequence[float], digits: int = 2) -> str:
 def named(names: Sequence[str]) -> str:
     """A list in a sentence."""
     names = list(names)
+    if len(names) > LONGEST:
+        return f"{', '.join(names[:LONGEST])} and {len(names) - LONGEST} more"
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
@@ -58,7 +62,7 @@ def wins(pairs: Sequence[tuple[str, float]]) -> str:
     """How many ratios are above 1, below, and about 1, and which lose."""
     won = [name for name, ratio in pairs if ratio >= EVEN]
     lost = [name for name, ratio in pairs if ratio <= 1 / EVEN]
-    text = f"it is faster in {len(won)} of {len(pairs)}"
+    text = f"it is faster in {len(won)} of {len(pairs)} images"
     if lost:
         text += f", slower in {len(lost)} ({named(lost)})"
     even = len(pairs) - len(won) - len(lost)

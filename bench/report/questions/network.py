@@ -50,7 +50,7 @@ def network(found: Results) -> Answer:
             f"against the best plain way: {span([r for _, r in against])})"
         )
     if sobol:
-        texts.append(f"for direct light and ambient occlusion against Sobol points {wins(sobol)} images")
+        texts.append(f"for direct light and ambient occlusion against Sobol points {wins(sobol)}")
     if exact:
         texts.append(f"against lines and slices {wins(exact)}")
     text = "; ".join(texts) + "."
@@ -171,7 +171,7 @@ def relative(found: Results) -> Answer:
         pairs = of[name] + [(f"{scene} gi", ratio) for scene, ratio in paths[name]]
         if pairs:
             texts.append(
-                f"{asked} {wins(pairs)} images ({shown(mean_ratio([r for _, r in pairs]))} "
+                f"{asked} {wins(pairs)} ({shown(mean_ratio([r for _, r in pairs]))} "
                 "times as fast on average)"
             )
         bars += [(one, ratio, 0 if name == DEFAULT else 1) for one, ratio in pairs]
@@ -242,7 +242,8 @@ def auto(found: Results) -> Answer:
             "1 is as good as knowing beforehand.",
         )
         table = [
-            [label(r), r["spp"], r["method"], r["better"], r["ratio"], r.get("spread")] for r in rows
+            [label(r), r["spp"], r.get("chosen", r["method"]), r["better"], r["ratio"], r.get("spread")]
+            for r in rows
         ]
         columns = ["image", "SPP", "auto took", "best", "ratio", "longest run / shortest"]
         answer.table = Table(columns, table, "Scenes held out")
