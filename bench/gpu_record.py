@@ -64,7 +64,7 @@ CASES = (
 
 
 def record(names: Sequence[str] = ()) -> None:
-    """Measure cases, all by default, and write `FILE` after each; takes minutes, most of it simulated."""
+    """Measure cases, all by default, and write `FILE` after each; minutes, mostly of simulation."""
     cpu = choose_device()
     found: dict = {"device": cpu.identity, "spp": SPP, "batch": COUNTED_BATCH, "cases": {}}
     if names:
