@@ -63,6 +63,7 @@ def picture(found: Results) -> Answer:
         if "agrees" in row
     ]
     every = found.get("peers", {}).get("rows", [])
+    notes: list[str] = []
     rows = [row for row in every if row.get("ratio") and np.isfinite(row["ratio"])]
     for row in rows:
         off = abs(row["ratio"] - 1)
@@ -70,6 +71,8 @@ def picture(found: Results) -> Answer:
         allowed = max(SHARE, DEVIATIONS * (row["standard_error"] or 0.0))
         name = f"{row['scene']} {row['quantity']}, {row['peer']}"
         pairs.append((name, off, off <= allowed))
+        if off > allowed and row.get("note"):
+            notes.append(f"{name}: {row['note']}.")
     if not pairs:
         return Answer("No other program was at hand.")
     off = [name for name, _, agrees in pairs if not agrees]
@@ -87,7 +90,7 @@ def picture(found: Results) -> Answer:
         "Differences of means over all pixels or points.",
     )
     answer.table = Table(["image, peer", "difference", "agrees"], [list(p) for p in pairs], "Means")
-    answer.more += _speeds(found, rows)
+    answer.more += [*notes, *_speeds(found, rows)]
     zs = [
         abs(m["validation"]["z"])
         for case in measured(found.get("curves", {}).get("cases", []))
