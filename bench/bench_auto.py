@@ -69,7 +69,7 @@ class Plan:
 
 # Paths are noisy, and take the time of many lines.
 FULL = Plan({"direct": 96, "ao": 96, "gi": 64}, (16, 64, 256), 2)
-QUICK = Plan(dict.fromkeys(WAYS, 16), (16, 64), 2)
+QUICK = Plan({"direct": 48, "ao": 48, "gi": 32}, (16, 64), 2)
 MOST_SEEDS, SEEDS_OF_SAMPLES = 6, 128
 # Slices are few, and ways of fewer samples reach what "auto" does by more: both sides of its numbers.
 FACTORS = (0.25, 1, 4)

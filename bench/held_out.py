@@ -25,8 +25,8 @@ def room(
 ) -> ncv.Scene:
     """Boxes, and balls of glass or that glow, in a room under lamps at random places of its ceiling.
 
-    `gloss` is what its boxes have beside their albedo, and its walls too if it is METAL. By the `window`
-    a wall that is not there, come light of the sky and of a sun.
+    `gloss` is what its boxes have beside their albedo, and its walls, too, if it is METAL. By the
+    `window`, a wall that is not there, come light of the sky and of a sun.
     """
     generator = np.random.default_rng(seed)
     gloss = gloss or {}
@@ -35,9 +35,11 @@ def room(
     materials = {
         "white": ncv.Material(dark * generator.uniform(0.4, 0.8), **walled),
         "things": ncv.Material(dark * generator.uniform(0.1, 0.7, 3), **gloss),
-        "glow": ncv.Material(0.3, emission=(6, 5, 3)),
-        "glass": ncv.Material(0.0, transmission=(0.9, 0.95, 0.9)),
     }
+    if glass:
+        materials["glass"] = ncv.Material(0.0, transmission=(0.9, 0.95, 0.9))
+    if glow:
+        materials["glow"] = ncv.Material(0.3, emission=(6, 5, 3))
     lights = []
     for x, z in generator.uniform((-2.6, -3.6), (2.0, 2.5), (lamps, 2)):
         a, b = generator.uniform(0.2, 0.6, 2)

@@ -29,8 +29,8 @@ def avoid_false_reports() -> None:
     kept = []
     create = HostArray.__init__
 
-    def create_and_keep(array, *arguments):
-        create(array, *arguments)
+    def create_and_keep(array, *arguments, **options):
+        create(array, *arguments, **options)
         kept.append(array.buffer)
 
     def fill_from_host(array, value):

@@ -20,6 +20,7 @@ from ncv_cl.rendering import prepare
 from ncv_cl.sampling import paths, samples
 from ncv_cl.sampling.waves import embree, wave
 from ncv_cl.sampling.waves.wave import knows_counts
+from ncv_cl.sampling.waves.waves import Waves
 from ncv_cl.scene.load import load_scene
 from ncv_cl.visibility.trace import DeviceTracer
 
@@ -208,6 +209,22 @@ def test_paths_of_few_bounces_run_ahead(one_device, scenes):
         )
         np.testing.assert_array_equal(found.pixels, expected.pixels)
         assert found.stats["rays_traced"] == expected.stats["rays_traced"]
+
+
+def test_few_rays_are_left_behind_the_waves(one_device, scenes, monkeypatch):
+    """Those that are followed: work-items whose paths have ended wait for their neighbours'."""
+    rays = {}
+    plain = Waves.trace
+
+    def trace(own, bounce, *arguments):
+        seconds = plain(own, bounce, *arguments)
+        rays[bounce] = rays.get(bounce, 0) + own.now.rays
+        return seconds
+
+    monkeypatch.setattr(Waves, "trace", trace)
+    rendered(one_device, scenes, "gi", "device")
+    left = sum(count for bounce, count in rays.items() if bounce != "shared" and bounce > paths.WAVES)
+    assert 0 < left < 0.03 * sum(rays.values())
 
 
 @pytest.fixture()

@@ -20,6 +20,7 @@ Ray load_ray(global const float *restrict wave, const uint plane, const uint fir
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   ray.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
 #if HAS_ROWS
+  (void)lights;
   ray.strips = SELECT((whole)FIRST_ROW, AS_WHOLE(LOAD(PLANE(wave, WAVE_STRIPS) + first)), here);
 #else
   ray.strips = all_strips(lights);

@@ -57,7 +57,8 @@ triple load_planes(global const float *restrict wave, const uint number, const u
 #define GROUP_WORDS(name) volatile local uint *const name = 0
 #endif
 
-/* Counts so many rays more, and returns how many there were before. */
+/* Counts so many rays more, and returns how many there were before. `words` is not restrict: compilers would keep what
+ * they have read there across barriers. */
 uint count_rays(const uint count, const int is_shadow, global float *restrict wave, volatile local uint *words) {
   volatile global uint *total = (volatile global uint *)wave + (is_shadow ? COUNT_STEP : 0);
 #if VEC == 1

@@ -17,11 +17,11 @@ from . import tuning
 def noise_that_stays(scene: Scene, integrand: Integrand, points: ShadingPoints) -> str | None:
     """Why paths in a scene keep a noise that no function of (u, v) takes off, in words; or None.
 
-    A control variate of paths takes twice the time of plain ones, and pays by leaving a third or less of
-    their variance. Where glass bends paths it leaves most, or adds to it: what little of a density goes
-    towards a caustic is weighed the more. Light from outside, and that of many lights, is a function of
-    the direction too detailed for a small network. Where lobes reflect more than matte parts do, most
-    noise is that of highlights.
+    A control variate of paths takes twice the time of plain ones, so it must leave less than half of a
+    sample's variance: it and the guide leave 0.07 to 0.1 in matte rooms, 0.4 in polished ones, 0.83 in
+    `glass`. Many lights make a function of steps too narrow for a small network and for the cells of a
+    density, and light from outside falls through whatever opening there is. Where lobes reflect more
+    than matte parts do, most noise is that of highlights.
     """
     if not integrand.nested or not points.active:
         return None

@@ -36,8 +36,7 @@ from .waves.waves import Waves
 # Places of a batch at most: paths.cl finds a place's point by a product of floats, exactly below this.
 MOST_PLACES = 1 << 22
 # Waves of a batch where the host does not know how many rays are left: what these leave, work-items
-# follow to their ends, each its own. In interior a hundredth of all rays is behind them
-# (tests/test_rays.py counts them).
+# follow to their ends, each its own. In interior that is a fiftieth of all rays (tests/test_rays.py).
 WAVES = 8
 # A depth that no path reaches.
 EVERY_DEPTH = 1 << 30

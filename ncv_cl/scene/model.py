@@ -287,8 +287,8 @@ class Scene:
 
     @cached_property
     def has_glass(self) -> bool:
-        """Whether some surface lets light through."""
-        return any(one.is_glass for one in self.materials)
+        """Whether some surface lets light through; materials that no surface has do not count."""
+        return any(self.materials[k].is_glass for k in np.unique(self.triangle_material))
 
     @cached_property
     def has_panes(self) -> bool:

@@ -100,5 +100,6 @@ int O atomic_inc(volatile global int *p) { return __sync_fetch_and_add(p, 1); }
 uint O atomic_inc(volatile global uint *p) { return __sync_fetch_and_add(p, 1); }
 int O atomic_add(volatile global int *p, int v) { return __sync_fetch_and_add(p, v); }
 uint O atomic_add(volatile global uint *p, uint v) { return __sync_fetch_and_add(p, v); }
+uint O atomic_add(volatile local uint *p, uint v) { return __sync_fetch_and_add(p, v); }
 int O atomic_or(volatile global int *p, int v) { return __sync_fetch_and_or(p, v); }
 int O atomic_or(volatile local int *p, int v) { return __sync_fetch_and_or(p, v); }
