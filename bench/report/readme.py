@@ -1,4 +1,4 @@
-"""README's table of when the network pays, made of the committed results: `python bench/report/readme.py`.
+"""README's table of when the network pays, from committed results: `python bench/report/readme.py`.
 
 It stands in README.md between two comments, and a test compares it with what this makes of
 `bench/results`. Whatever was not measured has no row.
