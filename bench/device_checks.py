@@ -13,14 +13,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
+import ncv_cl as ncv
 from ncv_cl.integrands import DirectLight, GlobalIllumination
 from ncv_cl.opencl.device import Device
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.opencl.program import Kernel, kernel_folder
 from ncv_cl.points.sampler import Stream
 from ncv_cl.sampling.samples import MEAN_SAMPLES
@@ -71,6 +73,7 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"shape": "sphere", "scale": 1.0, "place": 50.0}),
     ("global illumination", "test_gi", "test_matte_scenes_match_an_independent_path_tracer",
      {"depth": 3, "lights": None}),
+    ("followed paths", "device_checks", "paths_followed_to_their_ends_are_those_of_waves", {}),
     ("shared paths", "test_share", "test_sharing_changes_no_expectation",
      {"kind": "smooth", "depth": None}),
     ("control coefficient", "test_alpha", "test_moments_of_each_column_match_float64", {}),
@@ -161,6 +164,18 @@ def unshadowed_means_are_those_of_the_samples(device: Device) -> None:
     batch = source.draw(range(points.active), range(MEAN_SAMPLES), Stream.UNSHADOWED)
     values = reference.batch_arrays(batch, DirectLight.channels)["value"]
     np.testing.assert_allclose(means, values.mean(axis=-1, dtype=np.float64), rtol=1e-5)
+
+
+def paths_followed_to_their_ends_are_those_of_waves(device: Device) -> None:
+    """Where memory is not shared kernels follow the last paths; on a CPU the host counts them else."""
+    memory, pictures = device.memory, []
+    for shared in (True, False):
+        own = replace(device, memory=DeviceMemory(shared, memory.largest, memory.total))
+        image = ncv.render(
+            SCENES / "cornell_box.toml", "gi", "mc", spp=2, size=(16, 16), rays="device", device=own
+        )
+        pictures.append(image.pixels)
+    np.testing.assert_array_equal(*pictures)
 
 
 def _run(

@@ -14,7 +14,7 @@ pytest.importorskip("jinja2", reason="the benchmarks need jinja2")
 import bench_curves
 from bench_curves import DEFAULT, METHODS, SOBOL
 from bench_static import tables_of
-from report import readme, svg
+from report import document, readme, svg
 from report.build import QUESTIONS, build_report
 from report.parts import PARTS
 from test_report import OURS, PLAIN, SPPS
@@ -240,3 +240,10 @@ def test_the_browser_sees_what_is_wrong(tmp_path):
     )
     seen = browser.look_at(page, tmp_path, PHONE, "light")
     assert seen["broken"] == 1 and seen["needed"] > PHONE and len(seen["console"]) == 2
+
+
+def test_commands_in_sentences_are_marked_and_nothing_else_is(built):
+    _, html, text = built
+    assert "with `--allocation relative` it" in text
+    assert "with <code>--allocation relative</code> it" in html
+    assert str(document._marked("a < `b`")) == "a &lt; <code>b</code>"

@@ -14,6 +14,8 @@ from .questions.common import Question, named
 TITLE = "ncv_cl: what it takes, and what it gives"
 # What the runs and the machine were is kept beside the results.
 RUNS = "runs.json"
+# Characters of what a part said at last.
+LAST = 400
 QUESTIONS = (
     seconds.QUESTIONS[0],
     *network.QUESTIONS,
@@ -138,7 +140,9 @@ def _machine(record: dict) -> Section:
         answer.details.append(Table(["", ""], list(record["machine"].items()), "Machine and versions"))
     for name, run in runs.items():
         if run["status"] in ("failed", "timed out") and run["message"]:
-            answer.more.append(f"The last lines of {name}: {' ⏎ '.join(run['message'].splitlines())}")
+            answer.more.append(
+                f"The last lines of {name}: {' ⏎ '.join(run['message'].splitlines())[-LAST:]}"
+            )
     return Section("Which machine, which runs?", answer)
 
 

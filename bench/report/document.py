@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import jinja2
+import markupsafe
 
 from . import svg
 
 # Rows of a table in the Markdown, which is to be read; the page has all.
-MARKDOWN_ROWS = 16
+MARKDOWN_ROWS = 26
 _KINDS = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
@@ -143,6 +145,11 @@ def _markdown_table(table: Table) -> list[str]:
     return [*lines, ""]
 
 
+def _marked(text: str) -> markupsafe.Markup:
+    """A sentence as HTML: what stands between backticks is code."""
+    return markupsafe.Markup(re.sub(r"`([^`]*)`", r"<code>\1</code>", str(markupsafe.escape(text))))
+
+
 def html(title: str, about: str, sections: Sequence[Section], folder: Path) -> str:
     """The document as one HTML file that needs no other: pictures of `folder` are inlined."""
 
@@ -157,6 +164,7 @@ def html(title: str, about: str, sections: Sequence[Section], folder: Path) -> s
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["marked"] = _marked
     return environment.get_template("page.html.jinja").render(
         title=title, about=about, sections=sections, inline=inline, light=svg.style(False),
         dark=svg.style(True),

@@ -1,4 +1,4 @@
-"""README's table "When it pays", made of the committed results: `python bench/report/readme.py`.
+"""README's table of when the network pays, from committed results: `python bench/report/readme.py`.
 
 It stands in README.md between two comments, and a test compares it with what this makes of
 `bench/results`. Whatever was not measured has no row.
@@ -63,7 +63,7 @@ def _paths(found: dict[str, dict]) -> list[tuple[str, str, str]]:
         if cases:
             size = part["size"]
             image = f"global illumination at 512 samples a point, {size} × {size}: {named}"
-            rows.append((image, _each(cases), ", ".join(starts) if error == "mse" else ""))
+            rows.append((image, _each(cases), "; ".join(starts) if error == "mse" else ""))
     return rows
 
 
@@ -90,7 +90,7 @@ def _others(found: dict[str, dict]) -> list[tuple[str, str, str]]:
             cases = {scene: row[key] for scene, row in own.items() if key in row}
             if cases:
                 image = f"{named}, against {samples} Sobol points with rays: {error}"
-                rows.append((image, _each(cases), ", ".join(starts) if error == ways[0][1] else ""))
+                rows.append((image, _each(cases), "; ".join(starts) if error == ways[0][1] else ""))
         # What auto takes instead, lines or slices without a network, is as fast as this says.
         best = {
             scene: row[f"{SOBOL} / {OURS}"] / row[f"{SOBOL} / {AUTO}"]

@@ -207,10 +207,10 @@ def stages(found: Results) -> Answer:
     train = found.get("train", {}).get("runs", [])
     default = [row for row in train if row["preset"] == "default"]
     if default:
-        best = min(default, key=lambda row: row["residual"])
+        best, size = min(default, key=lambda row: row["residual"]), found["train"]["size"]
         answer.more.append(
             f"Training leaves {100 * best['residual']:.2g} % of the variance at best ({best['scene']} "
-            f"{best['integrand']}, {shown(best['seconds'])} s at 96 × 96 or fewer points)."
+            f"{best['integrand']}, {shown(best['seconds'])} s at {size} × {size} points)."
         )
         answer.details.append(records(train, "Residual variance by training"))
     return answer

@@ -101,16 +101,14 @@ def picture(found: Results) -> Answer:
             f"Our own methods agree with each other: of {len(zs)} images the largest difference of "
             f"means is {shown(max(zs))} deviations."
         )
-    answer.more += [
-        f"{label(row)} was not compared: {row['skipped']}."
-        for row in found.get("mitsuba", {}).get("agreement", [])
-        if "skipped" in row
-    ]
-    answer.more += [
-        f"{row['scene']} was not compared with {row['peer']}: {row['note']}."
-        for row in every
-        if row not in rows
-    ]
+    skipped: dict[str, list[str]] = {}
+    for row in found.get("mitsuba", {}).get("agreement", []):
+        if "skipped" in row:
+            skipped.setdefault(row["skipped"], []).append(label(row))
+    for row in every:
+        if row not in rows:
+            skipped.setdefault(row["note"], []).append(f"{row['scene']} with {row['peer']}")
+    answer.more += [f"Not compared: {named(names)}: {why}." for why, names in skipped.items()]
     if rows:
         answer.details.append(records(rows, "Other programs"))
     return answer
