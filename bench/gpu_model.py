@@ -14,13 +14,15 @@ from pathlib import Path
 import gpu_record
 from gpu_times import ASSUMPTIONS, BATCH, H100, Prediction, linear, predict, scaled, uncertainty
 
+from ncv_cl.sampling.samples import SAMPLES_A_UNIT
+
 PAGE = Path(__file__).parent.parent / "docs" / "gpu_model.md"
 SIDE, SPP = 1024, gpu_record.SPP
 # Two cores with AVX-512 at 2.6 GHz, as `facts_of` counts: 16 lanes, a multiply-add of each a clock.
 CPU_CORES, CPU_PEAK = 2, 2 * 16 * 2.6
-# Batches so many times as large are looked at, too: one of 2^19 samples has 2^16 paths, since a path has
-# eight entries, and they leave most of the GPU idle.
-LARGER = 16
+# Batches of a CPU's size are looked at, too: one of 2^19 samples has 2^16 paths, since a path has eight
+# entries, and they leave most of the GPU idle.
+LARGE = H100.units * SAMPLES_A_UNIT
 # Kernels that take at least this part of a render's device seconds are shown.
 SHOWN = 0.01
 
@@ -85,9 +87,9 @@ def _lines(recorded: dict) -> Iterator[str]:
     cases = recorded["cases"]
     predictions = {}
     for name, case in cases.items():
-        for title, batch in ((name, BATCH), (f"{name}, {LARGER}-fold batches", LARGER * BATCH)):
+        for title, batch in ((name, LARGE), (f"{name}, batches of 2^19", BATCH)):
             counts = scaled(case, SIDE, SPP, batch)
-            if batch == BATCH or case["integrand"] == "gi":
+            if batch == LARGE or case["integrand"] == "gi":
                 predictions[title] = (
                     predict(case, counts, gpu), uncertainty(case, counts, gpu), cpu_seconds(case)
                 )  # fmt: skip
@@ -131,9 +133,9 @@ def cpu_seconds(case: dict) -> float:
 def comparison(predictions: dict) -> Iterator[str]:
     """What two cores take beside it, and what that says of when a GPU pays."""
     peaks = H100.peak / CPU_PEAK
-    yield f"""In global illumination a batch has 2^16 paths, as eight points share one: too few to fill
-the GPU, so launches are most of the seconds. Rows of {LARGER}-fold batches say what larger ones would
-bring there.
+    yield f"""A batch on a GPU has {SAMPLES_A_UNIT} samples for each of its compute units, {LARGE} here
+(`SAMPLES_A_UNIT`, `ncv_cl/sampling/samples.py`). In global illumination one of 2^19, a CPU's, has 2^16
+paths, as eight points share one: too few to fill the GPU, so launches would be most of the seconds.
 
 Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand points: the
 {H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of its peak the GPU

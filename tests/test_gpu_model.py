@@ -150,7 +150,7 @@ def test_choosing_a_gpu_asks_for_more_than_the_model_says_is_needed():
     peaks, ratios = gpu_times.H100.peak / gpu_model.CPU_PEAK, []
     for case in gpu_record.read()["cases"].values():
         if case["rays"] == "device":
-            counts = gpu_times.scaled(case, gpu_model.SIDE, gpu_model.SPP)
+            counts = gpu_times.scaled(case, gpu_model.SIDE, gpu_model.SPP, gpu_model.LARGE)
             seconds = gpu_times.predict(case, counts, gpu_times.H100).seconds
             ratios.append(peaks * seconds / gpu_model.cpu_seconds(case))
     assert len(ratios) == 3 and np.exp(np.log(ratios).mean()) <= LEAST_ADVANTAGE

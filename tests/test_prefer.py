@@ -25,7 +25,7 @@ LLVMPIPE = Facts("llvmpipe (LLVM 15.0.6, 256 bits)", False, 16, 0, 8, True, 16 <
         (H100, SIXTEEN_CORES, True, "the discrete GPU's peak is 22 times the CPU's"),
         (H100, TWO_CORES, True, "discrete"),
         (LAPTOP, LAPTOP_CORES, False, "the integrated GPU's peak is 2.6 times the CPU's"),
-        (LAPTOP, SIXTEEN_CORES, False, "16 times are needed to pay"),
+        (LAPTOP, SIXTEEN_CORES, False, "8 times are needed to pay"),
         (LLVMPIPE, TWO_CORES, False, "software that calls itself a GPU"),
         (replace(H100, lanes=0), TWO_CORES, False, "is not known"),
         (replace(H100, memory=1 << 30), TWO_CORES, False, "1024 MiB of memory"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from reference import square_samples as expected_samples
 
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
 from ncv_cl.points.sampler import SAMPLERS
-from ncv_cl.sampling.samples import NO_RAY
+from ncv_cl.sampling.samples import NO_RAY, SAMPLES_PER_BATCH, samples_per_batch
 
 # A floor and a wall under a light that faces part of them only, so that some samples get no ray.
 TRIANGLES = np.concatenate(
@@ -107,6 +108,17 @@ def test_batches_cover_the_active_points_and_respect_the_scratch_memory(one_devi
     np.testing.assert_array_equal(
         np.concatenate(values, axis=1), drawn(one_device, DirectLight(), "sobol", range(17))[3]
     )
+
+
+def test_batches_of_a_gpu_grow_with_its_compute_units():
+    def of(is_gpu: bool, units: int) -> int:
+        return samples_per_batch(
+            SimpleNamespace(is_gpu=is_gpu, cl_device=SimpleNamespace(max_compute_units=units))
+        )
+
+    assert of(False, 64) == of(False, 2) == of(True, 2) == SAMPLES_PER_BATCH
+    # A path has eight samples, and a multiprocessor holds 2048 work-items.
+    assert of(True, 132) / 8 >= 4 * 132 * 2048
 
 
 def test_more_samples_than_a_batch_should_hold_still_fit_a_point(one_device, monkeypatch):
