@@ -36,6 +36,7 @@ EXCEPTIONS = {
     "draw_samples (slices)": (0, 352, OCCUPANCY, "a slice's blocked parts"),
     "find_occluders": (0, 624, OCCUPANCY, "once an image; where a walk is in boxes, of each light"),
     "fold": (0, 0, 0.12, "once an image; a point's features, which every row reads"),
+    "follow_paths": (80, 256, 0.15, "few paths, each to its end: what rays hit and shading in one"),
     "gradients": (0, 0, 0.12, "wide networks: what samples leave lies in local memory"),
     "integrate": (56, 7552, 0.03, "a point's arrangement: private, or of a group in local memory"),
     "integrate (a group a point, double)": (
