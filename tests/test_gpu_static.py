@@ -42,6 +42,7 @@ EXCEPTIONS = {
     "draw_samples (slices)": (0, 352, OCCUPANCY, "a slice's blocked parts"),
     "find_occluders": (0, 624, OCCUPANCY, "once an image; where a walk is in boxes, of each light"),
     "fold": (0, 0, 0.12, "once an image; a point's features, which every row reads"),
+    "follow_paths": (80, 256, 0.15, "few paths, each to its end: what rays hit and shading in one"),
     "gradients": (0, 0, 0.12, "wide networks: what samples leave lies in local memory"),
     "integrate (a group a point)": (208, 216, 0.06, "what a group shares lies in local memory"),
     "integrate (a work-item a point)": (72, 7552, OCCUPANCY, "a point's arrangement, which is private"),
