@@ -99,6 +99,9 @@ def run(
             report["left_out"].append(name)
             return
         report[name] = measure()
+        keep()
+
+    def keep() -> None:
         report["seconds"] = time.perf_counter() - begun
         save(report)
 
@@ -106,11 +109,14 @@ def run(
     report["checks"] = [asdict(outcome) for outcome in outcomes]
     report["unreached_kernels"] = unreached
     report["valid"] = not unreached and not any(outcome.error for outcome in outcomes)
+    keep()
     part("peaks", lambda: device_stages.peaks(device))
-    part("model", lambda: device_stages.beside_model(device, report["peaks"], quick))
+    if "peaks" in report:
+        part("model", lambda: device_stages.beside_model(device, report["peaks"], quick))
     part("stages", lambda: [stages(device, *case, quick) for case in CASES])
     part("work_groups", lambda: work_groups(device, quick))
     part("shapes", lambda: _shapes(device, quick, begun))
+    keep()
     show(report)
     return report
 

@@ -12,12 +12,15 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import gpu_record
-from gpu_times import ASSUMPTIONS, H100, Prediction, linear, predict, scaled, uncertainty
+from gpu_times import ASSUMPTIONS, BATCH, H100, Prediction, linear, predict, scaled, uncertainty
 
 PAGE = Path(__file__).parent.parent / "docs" / "gpu_model.md"
 SIDE, SPP = 1024, gpu_record.SPP
 # Two cores with AVX-512 at 2.6 GHz, as `facts_of` counts: 16 lanes, a multiply-add of each a clock.
 CPU_CORES, CPU_PEAK = 2, 2 * 16 * 2.6
+# Batches so many times as large are looked at, too: one of 2^19 samples has 2^16 paths, since a path has
+# eight entries, and they leave most of the GPU idle.
+LARGER = 16
 # Kernels that take at least this part of a render's device seconds are shown.
 SHOWN = 0.01
 
@@ -82,8 +85,12 @@ def _lines(recorded: dict) -> Iterator[str]:
     cases = recorded["cases"]
     predictions = {}
     for name, case in cases.items():
-        counts = scaled(case, SIDE, SPP)
-        predictions[name] = predict(case, counts, gpu), uncertainty(case, counts, gpu), cpu_seconds(case)
+        for title, batch in ((name, BATCH), (f"{name}, {LARGER}-fold batches", LARGER * BATCH)):
+            counts = scaled(case, SIDE, SPP, batch)
+            if batch == BATCH or case["integrand"] == "gi":
+                predictions[title] = (
+                    predict(case, counts, gpu), uncertainty(case, counts, gpu), cpu_seconds(case)
+                )  # fmt: skip
     yield from ["", "## Renders", ""]
     yield from table(
         ("render", "launches", "waits", "MB to host", "MB to device", "bytes a sample", "kernels s",
@@ -92,8 +99,13 @@ def _lines(recorded: dict) -> Iterator[str]:
     )  # fmt: skip
     yield from ["", *comparison(predictions)]
     yield from ["", "## Kernels", "", KERNELS]
-    for name, (prediction, *_) in predictions.items():
+    for name, case in cases.items():
+        prediction = predictions[name][0]
         yield from ["", f"### {name}", "", *kernels(prediction)]
+        left_out = set(case["counted"][-1]["kernels"]) - {one.name for one in prediction.kernels}
+        if left_out:
+            named = ", ".join(f"`{one}`" for one in sorted(left_out))
+            yield from ["", f"Not launched by the simulator's small render, and left out: {named}."]
 
 
 KERNELS = f"""Those that take at least {SHOWN:.0%} of a render's device seconds. Instructions, operations
@@ -119,10 +131,15 @@ def cpu_seconds(case: dict) -> float:
 def comparison(predictions: dict) -> Iterator[str]:
     """What two cores take beside it, and what that says of when a GPU pays."""
     peaks = H100.peak / CPU_PEAK
-    yield f"""Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand
-points. The {H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of
-its peak the GPU reaches: one whose peak is so many times a CPU's takes as long as that. `choose_device`
-takes a GPU from a ratio of peaks on that stands in `ncv_cl/opencl/prefer.py` (`LEAST_ADVANTAGE`).
+    yield f"""In global illumination a batch has 2^16 paths, as eight points share one: too few to fill
+the GPU, so launches are most of the seconds. Rows of {LARGER}-fold batches say what larger ones would
+bring there.
+
+Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand points: the
+{H100.name}'s peak is {peaks:.0f} times theirs. The last column is by how much less of its peak the GPU
+reaches: one whose peak is so many times a CPU's takes as long as that. `choose_device` takes a GPU from
+a ratio of peaks on that is rounded up from the three renders' geometric mean, rays by kernels
+(`LEAST_ADVANTAGE`, `ncv_cl/opencl/prefer.py`).
 """
     rows = []
     for name, (one, factor, seconds) in predictions.items():

@@ -170,7 +170,7 @@ def occupancies(device: Device, counts: list[dict]) -> dict[str, dict]:
     groups = {name: one["group"] for name, one in counts[-1]["kernels"].items()}
     found: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
-        compiler = Nvidia(ARCHITECTURE, Path(folder))
+        compiler = Nvidia((ARCHITECTURE,), Path(folder))
         if compiler.missing:
             raise RuntimeError(f"{ARCHITECTURE}: no {compiler.missing}")
         for own, one in ((key[0], built) for key, built in program._programs.items()):

@@ -211,13 +211,13 @@ def linear(low: tuple[float, float], high: tuple[float, float], at: float) -> fl
     return max(0.0, y + (Y - y) / (X - x) * (at - x))
 
 
-def scaled(case: dict, side: int, spp: int) -> dict:
+def scaled(case: dict, side: int, spp: int, batch: int = BATCH) -> dict:
     """Counts of a case's render of another size, from those of the two that were made.
 
-    Items and bytes go as the pixels, launches and waits as the batches.
+    Items and bytes go as the pixels, launches and waits as the batches, of `batch` samples.
     """
     low, high = case["counted"]
-    pixels, batches = float(side * side), side * side * spp / BATCH
+    pixels, batches = float(side * side), side * side * spp / batch
 
     def by(key: str, at: float, one: dict, other: dict, what: str) -> float:
         return linear((low[key], one.get(what, 0)), (high[key], other.get(what, 0)), at)
@@ -232,13 +232,19 @@ def scaled(case: dict, side: int, spp: int) -> dict:
     found: dict = {
         what: by("pixels", pixels, low, high, what) for what in ("to_host", "to_device", "rays")
     }
-    call = ASSUMPTIONS["call"].value
-    own = [row["host_seconds"] - call * calls(row) for row in (low, high)]
+    own = [own_seconds(row, case["rays"] == "embree") for row in (low, high)]
     found["host_seconds"] = linear((low["pixels"], own[0]), (high["pixels"], own[1]), pixels)
     return found | {"kernels": kernels, "waits": by("batches", batches, low, high, "waits")}
 
 
+def own_seconds(row: dict, by_embree: bool) -> float:
+    """What the host's thread did in a counted render beside calls, and rays, which it traced itself."""
+    traced = row["rays"] / ASSUMPTIONS["rays"].value if by_embree else 0.0
+    return max(0.0, row["host_seconds"] - ASSUMPTIONS["call"].value * calls(row) - traced)
+
+
 def calls(row: dict) -> float:
+    """Launches and waits."""
     return row["waits"] + sum(one["count"] for one in row["kernels"].values())
 
 
@@ -248,7 +254,8 @@ def predict(case: dict, counts: dict, gpu: Gpu, given: dict[str, float] | None =
     Parameters
     ----------
     case : dict
-        Of `gpu_record.record`: the kernels' work and occupancy.
+        Of `gpu_record.record`: the kernels' work and occupancy. A kernel that the simulator's small
+        render did not launch is left out.
     counts : dict
         Of `scaled`, or of a render that was counted.
     """
@@ -256,7 +263,7 @@ def predict(case: dict, counts: dict, gpu: Gpu, given: dict[str, float] | None =
     times = tuple(
         kernel_time(name, one["count"], one["items"], case["work"][name],
                     case["occupancy"][name]["occupancy"], gpu, given)
-        for name, one in counts["kernels"].items() if name in case["work"]
+        for name, one in counts["kernels"].items() if name in case["work"] and name in case["occupancy"]
     )  # fmt: skip
     by_embree = case["rays"] == "embree"
     return Prediction(

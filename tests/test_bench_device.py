@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -68,9 +70,14 @@ def test_what_there_is_no_time_for_is_named(one_device, monkeypatch, capsys):
         lambda *_: monkeypatch.setattr(bench_device, "LIMIT", 0.0) or [],
     )
     saved = []
-    report = bench_device.run(True, one_device, lambda one: saved.append(list(one)))
+    report = bench_device.run(True, one_device, lambda one: saved.append(set(one)))
     assert report["left_out"] == ["stages", "work_groups", "shapes"]
-    assert len(saved) == 2 and "peaks" in saved[0] and "model" not in saved[0] and "model" in saved[1]
+    assert [after - before for before, after in pairwise(saved)] == [
+        {"peaks"},
+        {"model"},
+        set(),
+    ]
+    assert "checks" in saved[0] and json.dumps(report)
     assert "no time was left for: stages, work_groups, shapes" in capsys.readouterr().out
 
 

@@ -120,6 +120,19 @@ def test_paths_that_keep_their_noise_get_no_network(one_device, scenes, monkeypa
         assert render(scenes / f"{scene}.toml", "gi", **options).stats["auto"]["method"] == "ncv"
 
 
+@pytest.mark.parametrize("allocation", ["relative", "magnitude"])
+def test_paths_are_shared_rather_than_allocated(one_device, scenes, monkeypatch, allocation):
+    monkeypatch.setattr(tuning, "PATHS_THAT_PAY", 0)
+    options = {"size": (8, 8), "spp": 4, "device": one_device}
+    scene = scenes / "interior.toml"
+    found = render(scene, "gi", allocation=allocation, **options)
+    assert found.stats["method"] == "mc" and allocation in found.stats["auto"]["reason"]
+    assert_same_bits(found, render(scene, "gi", "mc", **options))
+    # Of one part, none are shared.
+    one = render(scene, "gi", allocation=allocation, split_direct="off", **options)
+    assert one.stats["method"] == "ncv"
+
+
 def test_what_no_paths_lead_through_says_nothing_of_networks(one_device, scenes):
     """Glass and skies count for paths alone; a network that is wanted is trained nonetheless."""
     scene = load_scene(scenes / "sky_room.toml")

@@ -256,13 +256,14 @@ class _Learning:
         order = HostArray.of(device, chosen)
         for first in range(numbers.start, numbers.stop, TRAINING_PASS):
             part = range(first, min(first + TRAINING_PASS, numbers.stop))
-            for batch_points in source.batches(len(chosen)):
-                batch = source.draw(batch_points, part, stream, order)
+            parts = [(batch_points, part) for batch_points in source.batches(len(chosen))]
+            for batch in source.drawn(parts, stream, order):
                 with watch("estimate"):
                     accumulator.add(batch, part.start)
                 with watch("train"):
                     store(batch, part.start - numbers.start)
-                    device.queue.finish()
+                    if not source.runs_ahead:
+                        device.queue.finish()
             accumulator.finish_pass(np.full(len(chosen), len(part)), chosen)
             self.run.clock.check(TRAINING_SHARE)
 

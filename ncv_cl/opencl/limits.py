@@ -58,8 +58,8 @@ class DeviceMemory:
         """Bytes that nobody has taken."""
         return self.total - self.taken
 
-    def check(self, size: int, what: str) -> None:
-        """Raise if an array of `size` bytes does not fit.
+    def check(self, size: int, what: object) -> None:
+        """Raise if an array of `size` bytes does not fit, saying `what` it is.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class DeviceMemory:
         """
         return max(1, min(wanted, min(self.left // WORKING_PART, self.largest) // element_bytes))
 
-    def take(self, size: int, what: str) -> None:
+    def take(self, size: int, what: object) -> None:
         """Count an array of `size` bytes, until it is given back; raises as `check`."""
         with self._lock:
             self.check(size, what)

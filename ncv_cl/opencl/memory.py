@@ -68,7 +68,7 @@ class HostArray:
         # OpenCL has no empty buffers; an empty array keeps one unused element.
         size = max(1, int(np.prod(self.shape, dtype=np.int64))) * self.dtype.itemsize
         memory = device.memory
-        memory.take(size, f"an array {self.shape} of {self.dtype}")
+        memory.take(size, self)
         weakref.finalize(self, memory.give_back, size).atexit = False
         self._shared = memory.shared
         flags = cl.mem_flags.READ_WRITE
@@ -77,6 +77,9 @@ class HostArray:
             flags = cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR  # type: ignore[assignment]
         self._staging = Staging(device) if streams and not self._shared else None
         self.buffer = cl.Buffer(device.context, flags, size=size)
+
+    def __repr__(self) -> str:
+        return f"an array {self.shape} of {self.dtype}"
 
     @classmethod
     def of(cls, device: Device, array: np.ndarray) -> HostArray:
