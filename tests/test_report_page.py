@@ -108,8 +108,8 @@ SCALING = {
 PARTS_OF = {
     "curves": curves(), "equal": EQUAL, "gi_equal": GI_EQUAL, "auto": AUTO,
     "mitsuba": {"agreement": AGREEMENT, "time_to_error_ratio": 4.5}, "peers": PEERS,
-    "executors": EXECUTORS, "static": {"kernels": tables_of(KERNELS), "model": tables_of(MODEL)}, "lines": LINES,
-    "scaling": SCALING,
+    "executors": EXECUTORS, "lines": LINES, "scaling": SCALING,
+    "static": {"kernels": tables_of(KERNELS), "model": tables_of(MODEL)},
 }  # fmt: skip
 
 

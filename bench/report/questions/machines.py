@@ -132,7 +132,7 @@ def gpu(found: Results) -> Answer:
             each = [f"{row[0]} {row[ratio]}" for row in times["rows"]]
             answer.more.append(
                 "A model on paper (docs/gpu_model.md) says how many times sooner than two cores an H100 "
-                f"would be done: {named(each)}."
+                f"would be done: {'; '.join(each)}."
             )
         answer.table = Table(times["columns"], times["rows"], f"The model: {times['heading']}")
         answer.details += [
