@@ -90,6 +90,8 @@ CHECKS: tuple[tuple[str, str, str, dict | Callable[[ModuleType], dict]], ...] = 
      {"modulated": ALL_GROUPS}),
     ("features", "test_network", "test_features_match_reference",
      {"inputs": ("position", "normal", "outgoing", "albedo", "roughness"), "grid": {}}),
+    ("lists of a hash grid", "test_grid_index", "test_lists_are_those_of_the_definition",
+     lambda tests: {"build": tests.on_device, "edges": (0, 1, 20, 37)}),
     ("inference", "test_network", "test_inference_matches_reference",
      {"hidden": (16, 16), "modulated": ALL_GROUPS}),
     ("inference", "test_network", "test_inference_matches_reference",

@@ -126,10 +126,18 @@ def gpu(found: Results) -> Answer:
         ]
     model = found.get("static", {}).get("model", [])
     if model:
-        answer.more.append("What an image would take is a model on paper: docs/gpu_model.md.")
-        first = model[0]
-        answer.table = Table(first["columns"], first["rows"], f"The model: {first['heading']}")
-        answer.details += [Table(t["columns"], t["rows"], t["heading"]) for t in model[1:]]
+        times = next((one for one in model if "ratio" in one["columns"]), model[0])
+        if "ratio" in times["columns"]:
+            ratio = times["columns"].index("ratio")
+            each = [f"{row[0]} {row[ratio]}" for row in times["rows"]]
+            answer.more.append(
+                "A model on paper (docs/gpu_model.md) says how many times sooner than two cores an H100 "
+                f"would be done: {'; '.join(each)}."
+            )
+        answer.table = Table(times["columns"], times["rows"], f"The model: {times['heading']}")
+        answer.details += [
+            Table(one["columns"], one["rows"], one["heading"]) for one in model if one is not times
+        ]
     device = found.get("device")
     if device and "checks" in device:
         failed = [check["subject"] for check in device["checks"] if check["error"]]
