@@ -34,7 +34,7 @@ import math
 #       ncv      : ratio 0.14 at worst, 0.41 mean
 #
 # PATHS_THAT_PAY: at 64 x 64 points, two or three seeds, processor seconds of a busy machine. With
-# 2^18 paths the control variate's variance times seconds is 0.56 to 0.91 of plain paths' in seven scenes,
+# 2^18 paths a control variate's variance times seconds is 0.56 to 0.91 of plain paths' in seven scenes,
 # and 1.08 in `gloss` of bench/rooms.py; with 2^20 paths 0.4 to 0.8, and 1.08 in foliage
 # (python bench/bench_auto.py --integrand gi tells it of scenes anew).
 #
