@@ -33,9 +33,10 @@ import math
 #       mc       : ratio 1.00 at worst, 1.00 mean
 #       ncv      : ratio 0.14 at worst, 0.41 mean
 #
-# Of paths PATHS_THAT_PAY: with 2^18 of them the control variate's variance times seconds is 0.56 to 0.92
-# of plain paths' in eight scenes of nine, and 1.08 in a room of polished metal (64 x 64 points, 64
-# samples); with 2^20 of them 0.4 to 0.8 (python bench/bench_auto.py --integrand gi).
+# PATHS_THAT_PAY: at 64 x 64 points, two or three seeds, processor seconds of a busy machine. With
+# 2^18 paths a control variate's variance times seconds is 0.56 to 0.91 of plain paths' in seven scenes,
+# and 1.08 in `gloss` of bench/rooms.py; with 2^20 paths 0.4 to 0.8, and 1.08 in foliage
+# (python bench/bench_auto.py --integrand gi tells it of scenes anew).
 #
 # A ratio is the sooner method's seconds to the same error over those of what is chosen: 1 is best. With
 # 65536 samples a point of direct light, plain Monte Carlo's is 0.63 in the Cornell box, and the control
