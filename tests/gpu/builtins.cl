@@ -40,6 +40,7 @@ double O min(double a, double b) { return __nv_fmin(a, b); }
 BOTH3(fmax) BOTH3(fmin) BOTH3(max) BOTH3(min)
 float4 O mix(float4 a, float4 b, float t) { return a + (b - a) * t; }
 float O clamp(float x, float a, float b) { return __nv_fminf(__nv_fmaxf(x, a), b); }
+int O all(int4 a) { return (a.x & a.y & a.z & a.w) < 0; }
 int O min(int a, int b) { return a < b ? a : b; }
 int O max(int a, int b) { return a > b ? a : b; }
 uint O min(uint a, uint b) { return a < b ? a : b; }
