@@ -14,7 +14,7 @@ from pathlib import Path
 import gpu_record
 from gpu_times import ASSUMPTIONS, BATCH, H100, Prediction, linear, predict, scaled, uncertainty
 
-from ncv_cl.sampling.samples import SAMPLES_A_UNIT
+from ncv_cl.visibility.room import SAMPLES_A_UNIT
 
 PAGE = Path(__file__).parent.parent / "docs" / "gpu_model.md"
 SIDE, SPP = 1024, gpu_record.SPP
@@ -134,7 +134,7 @@ def comparison(predictions: dict) -> Iterator[str]:
     """What two cores take beside it, and what that says of when a GPU pays."""
     peaks = H100.peak / CPU_PEAK
     yield f"""A batch on a GPU has {SAMPLES_A_UNIT} samples for each of its compute units, {LARGE} here
-(`SAMPLES_A_UNIT`, `ncv_cl/sampling/samples.py`). In global illumination one of 2^19, a CPU's, has 2^16
+(`SAMPLES_A_UNIT`, `ncv_cl/visibility/room.py`). In global illumination one of 2^19, a CPU's, has 2^16
 paths, as eight points share one: too few to fill the GPU, so launches would be most of the seconds.
 
 Two cores of a CPU (AVX-512), continued in the same way from renders of a few thousand points: the

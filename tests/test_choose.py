@@ -126,7 +126,7 @@ def test_a_gpu_that_does_not_pay_is_left_and_the_reason_told(monkeypatch):
     weak.max_compute_units = 4
     device, why = choose._chosen(None, listed)
     assert device is listed[1]
-    assert why == "the integrated GPU's peak is 2 times the CPU's, and 16 times are needed to pay"
+    assert why == "the integrated GPU's peak is 2 times the CPU's, and 8 times are needed to pay"
     # Alone it is taken, and by its name.
     assert choose._chosen(None, listed[:1])[0] is listed[0]
     assert choose._chosen("graphics", listed) == (listed[0], "as asked for")

@@ -11,8 +11,10 @@ from reference import batch_arrays, camera_at, light_at, mesh_scene, quad, sampl
 from reference import square_samples as expected_samples
 
 from ncv_cl.integrands import AmbientOcclusion, DirectLight
+from ncv_cl.opencl.limits import DeviceMemory
 from ncv_cl.points.sampler import SAMPLERS
-from ncv_cl.sampling.samples import NO_RAY, SAMPLES_PER_BATCH, samples_per_batch
+from ncv_cl.sampling.samples import NO_RAY, SAMPLES_PER_BATCH
+from ncv_cl.visibility.room import samples_held
 
 # A floor and a wall under a light that faces part of them only, so that some samples get no ray.
 TRIANGLES = np.concatenate(
@@ -112,9 +114,12 @@ def test_batches_cover_the_active_points_and_respect_the_scratch_memory(one_devi
 
 def test_batches_of_a_gpu_grow_with_its_compute_units():
     def of(is_gpu: bool, units: int) -> int:
-        return samples_per_batch(
-            SimpleNamespace(is_gpu=is_gpu, cl_device=SimpleNamespace(max_compute_units=units))
+        device = SimpleNamespace(
+            is_gpu=is_gpu,
+            cl_device=SimpleNamespace(max_compute_units=units),
+            memory=DeviceMemory(False, 1 << 40, 1 << 40),
         )
+        return samples_held(device, SAMPLES_PER_BATCH, 1)
 
     assert of(False, 64) == of(False, 2) == of(True, 2) == SAMPLES_PER_BATCH
     # A path has eight samples, and a multiprocessor holds 2048 work-items.

@@ -16,7 +16,7 @@ from ..opencl.program import build
 from .encode import Encoder, Encoding
 
 # Pairs that one work-item looks through when lists are written.
-CHUNK = 256
+PAIRS_AN_ITEM = 256
 
 
 @dataclass(frozen=True)
@@ -157,8 +157,8 @@ class Keys:
     ) -> tuple[list[range], Arguments]:
         """`batches` and `arrays` of the index, from sorted keys."""
         device = self.words.device
-        items = -(-self.pairs // CHUNK)
-        shared: Arguments = {"pairs": self.pairs, "chunk": CHUNK, "keys": self.words}
+        items = -(-self.pairs // PAIRS_AN_ITEM)
+        shared: Arguments = {"pairs": self.pairs, "chunk": PAIRS_AN_ITEM, "keys": self.words}
         counts = HostArray(device, items, np.uint32)
         entry_shift = self.shifts["entry_shift"]
         kernel("count_lists")(items, **shared, entry_shift=entry_shift, counts=counts)

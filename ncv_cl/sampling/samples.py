@@ -20,7 +20,7 @@ from ..scene.load import Scene
 from ..visibility import tuning as visibility_tuning
 from ..visibility.lines import LINE_FILES, line_defines
 from ..visibility.rays import RayCount, shadow_rays
-from ..visibility.room import Asked, Batch, Room, sample_bytes
+from ..visibility.room import LANE_BLOCKS, Asked, Batch, Room, sample_bytes, samples_held
 from ..visibility.shaft import Occluders
 from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
@@ -34,10 +34,6 @@ SAMPLES_A_PASS = 128
 # Samples held at a time, or fewer where the device has less memory: the scratch memory of sampling is
 # fixed whatever the image's size.
 SAMPLES_PER_BATCH = 1 << 19
-# The same for each of a GPU's compute units: eight samples share a path, and four times as many paths as
-# are resident at once keep a unit busy. By docs/gpu_model.md smaller batches of paths are launches above
-# all: python bench/gpu_model.py.
-SAMPLES_A_UNIT = 1 << 16
 # Samples of one point drawn at a time; fixed, so that sums do not depend on the size of a batch.
 LONGEST_RUN = 1024
 # Samples whose mean stands for the unshadowed integral; it only scales what the network learns.
@@ -47,13 +43,6 @@ MEAN_SAMPLES = 64
 def ray_defines() -> dict[str, str]:
     """The `-D` constants of batch.cl and samples.cl."""
     return {"NO_RAY": f"{NO_RAY}u", "SEEN": f"{SEEN}u"}
-
-
-def samples_per_batch(device: Device) -> int:
-    """Samples held at a time on a device with memory enough."""
-    if not device.is_gpu:
-        return SAMPLES_PER_BATCH
-    return max(SAMPLES_PER_BATCH, device.cl_device.max_compute_units * SAMPLES_A_UNIT)
 
 
 class Batches:
@@ -99,7 +88,7 @@ class Batches:
         self._rays = RayCount()
         self._every_point = HostArray.of(device, np.arange(points.active, dtype=np.uint32))
         self.stride = self._stride_of(samples_per_point)
-        samples = device.memory.fitting(samples_per_batch(device), sample_bytes(channels, nested))
+        samples = samples_held(device, SAMPLES_PER_BATCH, sample_bytes(channels, nested))
         self.points_per_batch = max(1, min(points.active, samples // self.stride))
         capacity = self._capacity = max(self.points_per_batch * self.stride, LONGEST_RUN * self.members)
         self._room = Room(device, channels, capacity)
@@ -259,7 +248,7 @@ class SampleSource(Batches):
             shaft, defines = ("slices",), {**defines, **slices.defines()}
             self._occluders = slices.arguments
         if device.vector_width == 1:
-            defines["BLOCKS_A_ITEM"] = f"{visibility_tuning.LANE_BLOCKS}u"
+            defines["BLOCKS_A_ITEM"] = f"{LANE_BLOCKS}u"
         self._item_samples = int(str(defines["BLOCKS_A_ITEM"]).rstrip("u")) * device.vector_width
         files = ("common", "sampler", "surface", *integrand.kernels(), *shaft, "samples")
         self._program = build(device, files, defines)

@@ -13,6 +13,16 @@ from ..opencl.device import Device
 from ..opencl.memory import HostArray, Window
 from .rays import RayCount, ShadowRays
 
+# Samples of a batch for each of a GPU's compute units: eight samples share a path, and four times as
+# many paths as are resident at once keep a unit busy. By docs/gpu_model.md smaller batches of paths take
+# the time of their launches above all: python bench/gpu_model.py.
+SAMPLES_A_UNIT = 1 << 16
+# Blocks of VEC rays of one point that one of a GPU's lanes draws and tests, `BLOCKS_A_ITEM` of a CPU's:
+# with more, what is kept of each takes the registers of a quarter of the warps, or of lines, whose free
+# parts lie in memory, more of it than an L1 cache has for the warps that are resident: python
+# tests/test_gpu_static.py.
+LANE_BLOCKS = 2
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -51,6 +61,13 @@ class Batch:
 # Bytes that a sample takes in `Room` and `ShadowRays`, but its values; and what paths take at most: two
 # waves of two branches, what each brings, and where points share paths their hits and entries.
 SAMPLE_BYTES, PATH_BYTES = 17 + 28, 1 << 10
+
+
+def samples_held(device: Device, samples: int, size: int) -> int:
+    """How many samples of `size` bytes each are held at a time; `samples` on CPUs with room enough."""
+    if device.is_gpu:
+        samples = max(samples, device.cl_device.max_compute_units * SAMPLES_A_UNIT)
+    return device.memory.fitting(samples, size)
 
 
 def sample_bytes(channels: int, nested: bool) -> int:

@@ -12,10 +12,6 @@ MOST_LIGHTS = 8
 # Blocks of VEC rays of one point that one work-item draws and tests: python bench/bench_tuning.py
 # BLOCKS_A_ITEM.
 BLOCKS_A_ITEM = 4
-# The same of GPUs, whose lanes hold one ray or line each: with more, what is kept of each takes the
-# registers of a quarter of the warps, or of lines, whose free parts lie in memory, more of it than an L1
-# cache has for the warps that are resident: python tests/test_gpu_static.py.
-LANE_BLOCKS = 2
 # Triangles of a scene whose paths' rays are each tested against all of them instead of traced:
 # python bench/bench_tuning.py MOST_CASTERS, on a Cornell box cut into 128 triangles.
 MOST_CASTERS = 128
