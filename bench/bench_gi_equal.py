@@ -9,6 +9,11 @@ of the process, the least over the seeds; kernels are compiled before.
 
 `--allocations` compares allocations at one number of samples instead; printed is what plain Monte Carlo
 would need to each error, over what they need, by errors times seconds.
+
+`--sharing` tells whether points should share their paths (MOST_OWN of ncv_cl/sampling/tuning.py), in
+scenes of held_out.py, too. Printed is the part of paths' noise that stays each point's own, in the mean
+over blocks; of each method the variance without sharing over that with it, the seconds likewise, and
+the product of both: above 1 sharing pays.
 """
 
 from __future__ import annotations
@@ -19,7 +24,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from bench_tuning import set_to
 from crossover import Curve
+from held_out import HELD_OUT
 from rooms import ROOMS
 from training import SCENES
 
@@ -27,6 +34,7 @@ import ncv_cl as ncv
 from ncv_cl.estimation.pilot import DARK_SHARE
 from ncv_cl.opencl.choose import choose_device
 from ncv_cl.opencl.device import Device
+from ncv_cl.sampling.own_noise import OwnNoise
 
 SHIPPED = ("cornell_box", "interior")
 BASE = {"method": "mc", "split_direct": "off"}
@@ -41,6 +49,10 @@ ALLOCATIONS = {
     name: {"method": "ncv", "allocation": name} for name in ("uniform", "magnitude", "relative")
 }
 ERRORS = ("mse", "relative")
+# By MOST_OWN: none, or all.
+SHARING = {"alone": 0.0, "shared": 1.0}
+SHARERS = (*SHIPPED, "occluders", "knot", *ROOMS, "polished room", "rough room", "room, 4 lamps")
+SHARERS = (*SHARERS, "terrain", "foliage")
 
 
 class Case:
@@ -48,18 +60,19 @@ class Case:
 
     def __init__(self, device: Device, name: str, size: int, seeds: int) -> None:
         self.name, self._seeds = name, seeds
-        self._scene = ROOMS[name]() if name in ROOMS else ncv.load_scene(SCENES / f"{name}.toml")
+        made = {**ROOMS, **HELD_OUT}
+        self._scene = made[name]() if name in made else ncv.load_scene(SCENES / f"{name}.toml")
         self._common = {"integrand": "gi", "size": (size, size), "device": device}
 
     def measure(self, wanted: dict[tuple[str, int], dict[str, object]]) -> dict[tuple[str, int], dict]:
         """Seconds and errors by name and samples, all seeds of all in turns."""
         runs: dict[tuple[str, int], list[tuple[float, np.ndarray]]] = {key: [] for key in wanted}
         for (_, spp), options in wanted.items():
-            ncv.render(self._scene, spp=min(spp, 4), **self._common, **options)
+            self._render(min(spp, 4), 0, **options)
         for seed in range(1, self._seeds + 1):
             for (name, spp), own in runs.items():
                 began = time.process_time()
-                image = ncv.render(self._scene, spp=spp, seed=seed, **self._common, **wanted[name, spp])
+                image = self._render(spp, seed, **wanted[name, spp])
                 own.append((time.process_time() - began, image.pixels.astype(np.float64)))
         value = np.mean([pixels for own in runs.values() for _, pixels in own], axis=0)
         scale = np.maximum(value, 0) + DARK_SHARE * value.mean()
@@ -73,6 +86,32 @@ class Case:
                 "relative": float((variance / scale**2).mean()),
                 "least": float(min(pixels.min() for _, pixels in own)),
             }
+        return found
+
+    def _render(
+        self, spp: int, seed: int, most_own: float | None = None, **options: object
+    ) -> ncv.Image:
+        """A render, by another MOST_OWN where that is given."""
+        options = {"spp": spp, "seed": seed, **self._common, **options}
+        if most_own is None:
+            return ncv.render(self._scene, **options)
+        with set_to("MOST_OWN", most_own):
+            return ncv.render(self._scene, **options)
+
+    def own_parts(self) -> list[float]:
+        """What sharing leaves of the noise of each block of points."""
+        found: list[float] = []
+        part = OwnNoise.part
+
+        def seen(own: OwnNoise, *of: object) -> float:
+            found.append(part(own, *of))
+            return found[-1]
+
+        OwnNoise.part = seen
+        try:
+            self._render(4, 0, method="mc")
+        finally:
+            OwnNoise.part = part
         return found
 
 
@@ -107,24 +146,47 @@ def compare_allocations(case: Case, spp: int) -> dict[str, float]:
     return gains
 
 
+def compare_sharing(case: Case, spp: int) -> dict[str, float]:
+    """Print and return the part that stays each point's own, and what sharing does by method."""
+    wanted = {
+        (f"{method} {name}", spp): {"method": method, "most_own": most}
+        for method in ("mc", "ncv")
+        for name, most in SHARING.items()
+    }
+    found, gains = case.measure(wanted), {"own": float(np.mean(case.own_parts()))}
+    for method in ("mc", "ncv"):
+        alone, shared = (found[f"{method} {name}", spp] for name in SHARING)
+        for name in ("mse", "seconds"):
+            gains[f"{method} {name}"] = alone[name] / shared[name]
+        gains[f"{method} gain"] = gains[f"{method} mse"] * gains[f"{method} seconds"]
+    print(f"{case.name:14} " + ", ".join(f"{n} {gain:.2f}" for n, gain in gains.items()), flush=True)
+    return gains
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", metavar="SCENE", help=f"default: {', '.join(CASES)}")
     parser.add_argument("--quick", action="store_true", help="one scene, small, few samples")
-    parser.add_argument("--spp", type=int, help="default: 512, of allocations 128")
+    parser.add_argument("--spp", type=int, help="default: 512, of allocations 128, of sharing 64")
     parser.add_argument("--size", type=int, default=80, help="points a side (default %(default)s)")
     parser.add_argument("--seeds", type=int, default=2, help="renders of each (default %(default)s)")
-    parser.add_argument("--allocations", action="store_true", help="compare allocations instead")
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--allocations", action="store_true", help="compare allocations instead")
+    other.add_argument("--sharing", action="store_true", help="with shared paths, and without, instead")
     parser.add_argument("--json", metavar="FILE", help="write the results here")
     parser.add_argument("--device", metavar="D", help="as for ncv-cl render")
     options = parser.parse_args()
     device = choose_device(options.device)
     print(device.identity)
-    function, spp = (compare_allocations, 128) if options.allocations else (to_equal_error, 512)
+    function, spp, cases = to_equal_error, 512, CASES
+    if options.allocations:
+        function, spp = compare_allocations, 128
+    if options.sharing:
+        function, spp, cases = compare_sharing, 64, SHARERS
     results = {}
     if options.quick:
         options.cases, options.size, options.spp = SHIPPED[:1], 24, 32
-    for name in options.cases or CASES:
+    for name in options.cases or cases:
         case = Case(device, name, options.size, options.seeds)
         results[name] = function(case, options.spp or spp)
     for number in next(iter(results.values())):

@@ -62,6 +62,7 @@ VALUES = {
     "BRANCHES": (1, 2, 3),
     "MEMBERS": (1, 4, 8, 16),
     "GROUP_WINDOW": (4, 8, 16),
+    "MOST_OWN": (0.2, 0.35, 0.5, 1.0),
     "MOST_SURVIVE": (0.95, 0.99, 0.995),
     "GUIDE_UNIFORM_SHARE": (0.1, 0.2, 0.3, 0.5),
     "LOCAL_RADIUS": (1, 2, 3, 5),
@@ -160,6 +161,7 @@ TRIALS = {
     "GUIDE_PRIOR_SAMPLES": Trial(PATHS),
     "MEMBERS": Trial(PATHS),
     "GROUP_WINDOW": Trial(PATHS),
+    "MOST_OWN": Trial((*PATHS, ("veach_plates", "gi"), ("occluders", "gi"))),
     # With "auto" two uses are the most.
     "EPOCHS": Trial(options={"method": "ncv", "train_spp": 16}),
 }

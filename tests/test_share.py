@@ -13,11 +13,8 @@ from ncv_cl import GlobalIllumination, load_scene, render
 from ncv_cl.estimation.allocate import Allocation
 from ncv_cl.estimation.calibrate import points_done_twice
 from ncv_cl.opencl.memory import HostArray
-from ncv_cl.points import groups as groups_module
 from ncv_cl.points.groups import Groups, group_points
-from ncv_cl.points.points import find_points
 from ncv_cl.points.sampler import Stream
-from ncv_cl.points.trace import Tracer
 from ncv_cl.sampling import tuning
 from ncv_cl.sampling.share import SHARED
 from ncv_cl.sampling.warp import TableWarp, pack_records
@@ -88,8 +85,8 @@ def assert_equal_means(first, second):
 
 @pytest.fixture(autouse=True)
 def share_anywhere(monkeypatch):
-    """Lobes are shared wherever they are, whether that pays or not."""
-    monkeypatch.setattr(groups_module, "MOST_LOBES", np.inf)
+    """Paths are shared whether that pays or not."""
+    monkeypatch.setattr(tuning, "MOST_OWN", 1.0)
 
 
 CASES = {
@@ -241,12 +238,3 @@ def test_variances_of_images_of_shared_paths_hold(one_device, scenes, method):
     measured = pixels.var(axis=0, ddof=1).mean()
     said = np.mean([image.variance.mean() for image in images])
     assert 0.6 < said / measured < 1.6
-
-
-def test_where_lobes_reflect_much_nothing_is_shared(one_device, monkeypatch):
-    scene = room(POLISHED)
-    points = find_points(one_device, scene, Tracer(scene), 32, 32)
-    assert group_points(points, 8, 8).grouped > 0
-    monkeypatch.setattr(groups_module, "MOST_LOBES", 0.05)
-    found = group_points(points, 8, 8)
-    assert found.grouped == 0 and np.array_equal(found.order, np.arange(points.active))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +13,6 @@ from .points import ShadingPoints
 AXIS_BITS = 10
 # Groups lie within so many points in a row, of which a part of an image can be drawn elsewhere.
 BLOCK_POINTS = 1 << 12
-# Lobes are each point's own. Where a block's reflect more than this part of what its matte parts do,
-# sharing takes off less than its rays cost: 0.03 to 0.13 in rooms where it pays, 0.48 in one where
-# it does not (python bench/bench_gi_equal.py interior gloss).
-MOST_LOBES = 0.25
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,13 @@ class Groups:
     members: int = 1
 
 
-def group_points(points: ShadingPoints, members: int, window: int, apart: int = 1) -> Groups:
+def group_points(
+    points: ShadingPoints,
+    members: int,
+    window: int,
+    apart: int = 1,
+    pays: Callable[[ShadingPoints, np.ndarray], bool] | None = None,
+) -> Groups:
     """Groups of `members` points each, that lie close together and face alike.
 
     Points are dealt to `window` groups in turn, along a curve through space, and then to the next so
@@ -50,6 +53,8 @@ def group_points(points: ShadingPoints, members: int, window: int, apart: int = 
         Groups that points are dealt to in turn; more where more points lie at one position.
     apart : int
         Points of a pixel.
+    pays : callable, optional
+        Whether the groups of a block, integers (groups, members), share their paths; by default all do.
     """
     if members == 1:
         return Groups(np.arange(points.active, dtype=np.uint32))
@@ -59,10 +64,11 @@ def group_points(points: ShadingPoints, members: int, window: int, apart: int = 
     rest: list[np.ndarray] = []
     for first in range(0, points.active, BLOCK_POINTS):
         of_block = [row[:, first : first + BLOCK_POINTS] for row in rows]
-        for found, own in zip(
-            (groups, rest), _block_groups(of_block, members, window, apart), strict=True
-        ):
-            found.append(first + own)
+        grouped, others = (first + own for own in _block_groups(of_block, members, window, apart))
+        if pays is not None and len(grouped) and not pays(points, grouped.reshape(-1, members)):
+            grouped, others = grouped[:0], np.sort(np.concatenate([grouped, others]))
+        groups.append(grouped)
+        rest.append(others)
     order = np.concatenate([*groups, *rest, np.zeros(0, np.int64)]).astype(np.uint32)
     return Groups(order, sum(map(len, groups)), members)
 
@@ -72,8 +78,6 @@ def _block_groups(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Groups of the points of a block, and its points that are in none; int64."""
     position, normal, albedo, reflectance = rows
-    if reflectance.mean() > MOST_LOBES * albedo.mean():
-        return np.zeros(0, np.int64), np.arange(position.shape[1])
     reflects = (albedo.sum(axis=0) > 0) | (reflectance.sum(axis=0) > 0)
     near = np.lexsort((*position, _curve(position), _facing(normal)))
     near = near[reflects[near]]

@@ -26,6 +26,7 @@ from ..visibility.slices import Slices
 from ..visibility.trace import DeviceTracer
 from . import tuning
 from .guide import Guide, GuideRecorder, guide_defines, guide_frame
+from .own_noise import OwnNoise
 from .samples import LONGEST_RUN, NO_RAY, Batch, SampleSource, ray_defines
 from .share import Entries, share_defines
 from .triangles import triangle_records
@@ -130,9 +131,9 @@ class PathSource(SampleSource):
             "HAS_PANES": int(scene.has_panes),
             "GLASS_ROULETTE_SCALE": f"{tuning.ROULETTE[1]!r}f",
         }
-        self._branches = 0
+        self._own_noise = OwnNoise(scene, tracer)
         self._most_entries = max(self._capacity, self.members**2 * LONGEST_RUN)
-        self._no_hits = HostArray(device, 1, np.float32)
+        self._branches, self._no_hits = 0, HostArray(device, 1, np.float32)
         self._choose_program()
         self._place = _zeros(device, self._capacity, np.uint32)
         # Values are complete: all samples share one ray that has been answered.
@@ -193,7 +194,7 @@ class PathSource(SampleSource):
     def groups(self, density: str, apart: int) -> Groups:
         """Which points share paths, if the residual's samples follow a density of this kind."""
         members = 1 if density == "subdivision" else self.members
-        return group_points(self.points, members, tuning.GROUP_WINDOW, apart)
+        return group_points(self.points, members, tuning.GROUP_WINDOW, apart, self._own_noise.pays)
 
     def _make_room(self, branches: int) -> None:
         """For so many paths behind the second vertex of each sample's path."""

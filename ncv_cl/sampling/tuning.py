@@ -22,6 +22,10 @@ BRANCHES = 2
 # python bench/bench_tuning.py MEMBERS GROUP_WINDOW.
 MEMBERS = 8
 GROUP_WINDOW = 8
+# The part of paths' mean square that sharing leaves to each point (OwnNoise.part), above which a block's
+# points share none: python bench/bench_gi_equal.py --sharing prints it of rooms, hills and leaves, and
+# what sharing does there; of other values python bench/bench_tuning.py MOST_OWN.
+MOST_OWN = 0.5
 
 # What guides paths: boxes along each axis of the scene, a power of two, the part of every density that
 # is uniform, and the samples that what is known of coarser boxes counts for:
