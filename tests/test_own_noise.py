@@ -67,12 +67,15 @@ def test_the_part_is_that_of_densities_below_a_plane(one_device, distance):
     assert abs(part - own.mean()) < 4 * own.std() / np.sqrt(2 * GROUPS_SEEN)
 
 
-def test_what_lobes_send_is_not_shared(one_device):
+@pytest.mark.parametrize("roughness", [0.2, 0.4, 0.8])
+def test_what_lobes_send_and_find_is_not_shared(one_device, roughness):
     """Their mean square: R^2 / (12 alpha^2), where that of matte parts is albedo^2."""
-    material = grey(0.5, 0.2, 0.4)
-    lobes, matte = 0.2**2 / (12 * 0.4**4), 0.5**2
+    material = grey(0.5, 0.2, roughness)
+    lobes, matte = 0.2**2 / (12 * roughness**4), 0.5**2
+    # Of the square, two sevenths are the points' own lobe's.
+    left = 2 / 7 + 5 / 7 / 4
     part = part_of(one_device, 4 * [(0, 0, 0)], CEILING, material=material)
-    assert part == pytest.approx((matte / 4 + lobes) / (matte + lobes), rel=1e-4)
+    assert part == pytest.approx((matte * left + lobes) / (matte + lobes), rel=1e-4)
 
 
 def test_mean_square_of_a_lobe():

@@ -34,7 +34,9 @@ class OwnNoise:
 
         Where the same light comes from everywhere, what is left of member k's is the mean, over places
         that its own rays find, of d_k / (sum of d over all members), d being share.cl's densities.
-        What a lobe at such a place sends is not shared. The same rays every time: the same answer.
+        Not shared is what a lobe at such a place sends, nor what a member's own lobe finds: its strip of
+        the square is the lobe's share of what the member reflects, all of which goes into the mean
+        square. The same rays every time: the same answer.
 
         Parameters
         ----------
@@ -43,9 +45,9 @@ class OwnNoise:
         """
         seen = groups[np.linspace(0, len(groups) - 1, min(GROUPS_SEEN, len(groups))).astype(int)]
         block = range(int(seen.min()), int(seen.max()) + 1)
-        position, normal, geometric, offset = (
-            points.rows(name, block)[:, seen - block.start].astype(np.float64)
-            for name in ("position", "normal", "geometric_normal", "offset")
+        names = ("position", "normal", "geometric_normal", "offset", "albedo", "reflectance")
+        position, normal, geometric, offset, albedo, reflectance = (
+            points.rows(name, block)[:, seen - block.start].astype(np.float64) for name in names
         )
         origin, direction = position + offset * geometric, _towards(normal)
         hits = self._tracer.closest(_rays(origin), _rays(direction))
@@ -56,8 +58,11 @@ class OwnNoise:
         reach = np.where(found, hits.distance, 1.0).reshape(seen.shape)
         faces = self._normals(np.where(found, hits.triangle, 0)).reshape(origin.shape)
         left = self._own(origin, normal, origin + reach * direction, faces).ravel()
-        whole = float((matte + lobes).sum())
-        return float((matte * left + lobes).sum()) / whole if whole > 0 else 1.0
+        lobe, reflected = reflectance.mean(axis=0).ravel(), (albedo + reflectance).mean(axis=0).ravel()
+        strip = lobe / np.maximum(reflected, 1e-12)
+        kept = matte * (left + strip * (1 - left)) + lobes
+        whole = float(np.sum(reflected**2 * (matte + lobes)))
+        return float(np.sum(reflected**2 * kept)) / whole if whole > 0 else 1.0
 
     @functools.cached_property
     def _tracer(self) -> Tracer:
