@@ -15,7 +15,9 @@
  */
 
 /* Calls cost more than some functions' own arithmetic, and compilers count several kernels' calls of them. */
+#ifndef INLINED
 #define INLINED __attribute__((always_inline))
+#endif
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
