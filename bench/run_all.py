@@ -114,13 +114,19 @@ def machine(device: str | None) -> dict[str, object]:
 
 
 def _commit() -> str:
-    """The checkout's commit, marked if files were changed since."""
-    command = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
+    """The checkout's commit, marked if files other than results were changed since."""
+    root = Path(__file__).parent.parent
     try:
-        done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parent)
+        commit, changed = (
+            subprocess.run(["git", *words], capture_output=True, text=True, cwd=root).stdout.strip()
+            for words in (
+                ("describe", "--always", "--exclude", "*"),
+                ("status", "--porcelain", "--", ".", ":!bench/results"),
+            )
+        )
     except OSError:
         return "unknown"
-    return done.stdout.strip() or "unknown"
+    return commit + "-dirty" * bool(changed) if commit else "unknown"
 
 
 def _write_report(out: Path) -> int:

@@ -79,8 +79,9 @@ def drawn(monkeypatch):
 @pytest.fixture
 def forced(monkeypatch):
     """Method "auto" takes a control variate."""
-    for name in ("SAMPLES_THAT_PAY", "NOISY_SAMPLES_THAT_PAY", "LIGHT_SAMPLES_THAT_PAY"):
-        monkeypatch.setattr(tuning, name, 0)
+    for kind in ("", "NOISY_", "LIGHT_"):
+        monkeypatch.setattr(tuning, f"{kind}SAMPLES_THAT_PAY", 0)
+    monkeypatch.setattr(tuning, "PATHS_THAT_PAY", 0)
 
 
 @pytest.mark.parametrize("limit", [None, 1e3])
