@@ -65,8 +65,8 @@ def _limit(quick: bool, seconds: float, gone: float, later: Sequence[str]) -> fl
     """Seconds that a part may take after `gone` ones, so that those after it have theirs."""
     if quick:
         return min(QUICK_PART_SECONDS, QUICK_SECONDS - REPORT_SECONDS - gone)
-    share = sum(PARTS[name].seconds for name in later) * seconds / FULL_SECONDS
-    return seconds - REPORT_SECONDS - gone - share
+    seconds -= REPORT_SECONDS
+    return seconds - gone - sum(PARTS[name].seconds for name in later) * seconds / FULL_SECONDS
 
 
 def _parser() -> argparse.ArgumentParser:

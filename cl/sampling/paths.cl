@@ -351,9 +351,11 @@ kernel void shade_hits(const uint bounce, PATHS_PARAMETERS, const uint plane, gl
 #if CASTERS
     const Hit hit = closest_hit(casters, ray.origin, ray.direction, here);
 #else
-    const Hit hit = {SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here),
-                     LOAD(PLANE(wave, WAVE_DISTANCE) + first), LOAD(PLANE(wave, WAVE_U) + first),
-                     LOAD(PLANE(wave, WAVE_V) + first)};
+    const whole triangle = SELECT((whole)(-1), AS_WHOLE(LOAD(PLANE(wave, WAVE_TRIANGLE) + first)), here);
+    /* Where nothing is hit these planes hold any bits. */
+    const Hit hit = {triangle, SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_DISTANCE) + first), triangle >= 0),
+                     SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_U) + first), triangle >= 0),
+                     SELECT((real)0.0f, LOAD(PLANE(wave, WAVE_V) + first), triangle >= 0)};
 #endif
     shade(&ray, &hit, here, bounce, PATHS_ARGUMENTS, &to);
   }

@@ -10,12 +10,14 @@
  * Work-group contract: none; pure functions of private values, VEC paths at a time.
  */
 
-/* VEC rays of a wave. Lanes past the last ray may hold what an earlier, larger batch left. */
+/* VEC rays of a wave. Lanes past the last ray may hold what earlier, larger batches left there, whose planes may have
+ * had another size: any bits at all, of which no place of a table is to be made. */
 Ray load_ray(global const float *restrict wave, const uint plane, const uint first, const whole here,
              global const float *restrict lights) {
   Ray ray;
-  ray.origin = load_planes(wave, WAVE_ORIGIN, plane, first);
-  ray.direction = load_planes(wave, WAVE_DIRECTION, plane, first);
+  const triple zero = {(real)0.0f, (real)0.0f, (real)0.0f};
+  ray.origin = select_triple(zero, load_planes(wave, WAVE_ORIGIN, plane, first), here);
+  ray.direction = select_triple(zero, load_planes(wave, WAVE_DIRECTION, plane, first), here);
   ray.throughput = load_planes(wave, WAVE_THROUGHPUT, plane, first);
   ray.path = SELECT((bits)0, AS_BITS(LOAD(PLANE(wave, WAVE_PATH) + first)), here);
   ray.density = LOAD(PLANE(wave, WAVE_DENSITY) + first);
