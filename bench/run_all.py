@@ -92,7 +92,7 @@ def record(out: Path, run: Run, device: str | None) -> None:
     file = out / "runs.json"
     found = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {"runs": {}}
     found["machine"] = machine(device)
-    found["runs"][run.part] = run.as_dict()
+    found["runs"][run.part] = run.as_dict() | {"commit": _commit()}
     file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
@@ -108,7 +108,7 @@ def machine(device: str | None) -> dict[str, object]:
         "device": choose_device(device).identity,
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
-        "ncv_cl": f"{package_version()}, commit {_commit()}",
+        "ncv_cl": package_version(),
         **versions,
     }
 

@@ -220,7 +220,7 @@ def test_readme_has_the_numbers_of_the_committed_results(results):
     assert readme.written(text, readme.RESULTS) == text
     block = readme.block(results)
     assert "3 (`attic`)" in block and "below 1: 0.5 (`box`)" in block and "400 samples (`box`)" in block
-    assert "below 1: 0.12 (`box`)" in block and "9.9, 2 cores" in block
+    assert "below 1: 0.12 (`box`)" in block and "9.9, commit unknown, 2 cores" in block
     with pytest.raises(ValueError, match="no place for the table"):
         readme.written("# ncv_cl", results)
 

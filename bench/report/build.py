@@ -125,7 +125,15 @@ def _machine(record: dict) -> Section:
     runs, bad = record["runs"], []
     total = sum(run["seconds"] for run in runs.values())
     rows = [
-        [name, run["status"], run["seconds"], PARTS[name].seconds, run["load"], run["date"]]
+        [
+            name,
+            run["status"],
+            run["seconds"],
+            PARTS[name].seconds,
+            run["load"],
+            run["date"],
+            run.get("commit", "unknown"),
+        ]
         for name, run in runs.items()
         if name in PARTS
     ]
@@ -134,7 +142,7 @@ def _machine(record: dict) -> Section:
         f"{len(runs)} parts took {total / 60:.0f} minutes, each in a process of its own"
         + (f"; {named(bad)}." if bad else "; all ended well.")
     )
-    columns = ["part", "ended", "seconds", "of at most", "load before", "date"]
+    columns = ["part", "ended", "seconds", "of at most", "load before", "date", "commit"]
     answer.table = Table(columns, rows, "Runs")
     if record["machine"]:
         answer.details.append(Table(["", ""], list(record["machine"].items()), "Machine and versions"))

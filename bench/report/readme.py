@@ -42,7 +42,9 @@ def block(results: Path) -> str:
     lines = ["| image | times as fast | pays from |", "|---|---|---|"]
     lines += [f"| {' | '.join(row)} |" for row in rows]
     machine = found.get("runs", {}).get("machine", {})
-    where = f"{machine.get('ncv_cl', 'unknown')}, {machine.get('cores', '?')} cores"
+    runs = [run for name, run in found.get("runs", {}).get("runs", {}).items() if name in NEEDED]
+    commits = ", ".join(sorted({run.get("commit", "unknown") for run in runs}))
+    where = f"{machine.get('ncv_cl', 'unknown')}, commit {commits}, {machine.get('cores', '?')} cores"
     return "\n".join([*lines, "", f"Measured with ncv_cl {where}."])
 
 
