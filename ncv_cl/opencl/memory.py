@@ -136,14 +136,13 @@ class HostArray:
     ) -> Iterator[np.ndarray]:
         """The array itself."""
         flags = cl.map_flags.WRITE_INVALIDATE_REGION if write else cl.map_flags.READ
-        if update:
+        # From the first to the last element of a window; what lies between rows is kept.
+        if update or (window and write):
             # Flags add up, which pyopencl's hints leave out.
             flags = cl.map_flags.READ | cl.map_flags.WRITE  # type: ignore[assignment]
         start, mapped = 0, shape
         if window:
-            # From the first to the last element; what lies between rows is kept.
             start, mapped = window.start, ((shape[0] - 1) * window.pitch + shape[1],)
-            flags = cl.map_flags.WRITE if write else flags
         begin = start * self.dtype.itemsize
         queue = self.device.queue
         whole, _ = cl.enqueue_map_buffer(
